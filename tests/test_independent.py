@@ -127,6 +127,24 @@ def test_what_comes_and_goes_between_the_scans_of_a_frame_is_no_fault(loop: Loop
     assert late <= 3
 
 
+@pytest.mark.parametrize("sheet", [2, 3])
+def test_presses_beside_electrodes_in_corners_are_felt_in_every_frame(sheet: int) -> None:
+    """Contacts had moved onto the electrode because of the shapes that they may have beside it, and had vanished."""
+    device, random, odd = IndependentDevice(sheet), np.random.default_rng(sheet + 500), 0
+    with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+        engine.calibrate()
+        felt(engine, 20)
+        for number in range(12):
+            place = np.abs(0.2 * np.array([number % 2, number // 2 % 2]) - random.uniform(5.8e-3, 6.8e-3, 2)).tolist()
+            for pressure in (20e3, 60e3, 170e3):
+                device.sheet.touch({0: (*place, pressure)})
+                odd += sum(len(touch.contacts) != 1 for touch in felt(engine, 12)[2:])
+                device.sheet.touch({})
+                felt(engine, 10)
+    device.close()
+    assert odd <= 1  # of 360; it had been 2 and 4
+
+
 def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     """Positions err by half more, at most, in the mean over electrodes and places."""
     device, engine = loop

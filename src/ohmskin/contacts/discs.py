@@ -128,9 +128,32 @@ class DiscFitter:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
         return data.excluding(in_series(covered, self.table.pairs)) if covered else data
 
-    def joined(
-        self, nominal: Information, inflated: Information, found: Solution, covered: tuple[int, ...]
-    ) -> Solution:
+    def beside_electrodes(
+        self, whole: Information, data: Information, found: Solution, covered: tuple[int, ...]
+    ) -> tuple[tuple[int, ...], Solution]:
+        """The electrodes under contacts, and the contacts with nothing taken to be known of the resistances of these.
+
+        Those that no contact lies on any more, once that is not known, are not counted; nor are any where contacts
+        move there only because of the shapes that they had elsewhere.
+
+        Args:
+            whole: What is measured, with the model's error as noise.
+            data: The same, beside shapes of the contacts.
+            found: The contacts.
+            covered: The electrodes under them whose resistances are not known.
+        """
+        under = (*covered, *(number for number in self.covered(found.params) if number not in covered))
+        if under == covered:
+            return covered, found
+        beside = self.refine(self.uncovered(data, under), found.params, *self.prior(found.params))
+        here, there = (self._left_by(self.uncovered(whole, under), one) for one in (found, beside))
+        return (under, beside) if {*under} <= {*self.covered(beside.params)} and there <= here else (covered, found)
+
+    def _left_by(self, data: Information, found: Solution) -> float:
+        """What contacts leave of the data beside the shapes that they may have where they are (noise's variance)."""
+        return data.marginalised(self.shapes(found.params)).minus(found.caused).misfit.constant
+
+    def joined(self, whole: Both, found: Solution, covered: tuple[int, ...]) -> Solution:
         """The contacts, one in place of two that are closer than one is wide, or over an electrode where one leaves no
         more than is usual.
 
@@ -139,8 +162,7 @@ class DiscFitter:
         the model gets wrong of one contact looks like two.
 
         Args:
-            nominal: What is measured.
-            inflated: The same, with the model's error as noise.
+            whole: What is measured, and the same with the model's error as noise.
             found: The contacts.
             covered: The electrodes under them.
         """
@@ -155,10 +177,11 @@ class DiscFitter:
             middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
             squares = ((size * self.table.radius) ** 2 for size in _SIZES)
             starts = np.array([np.vstack([others, [*middle, pair[:, 2].sum(), square]]) for square in squares])
-            left, usual = (self.uncovered(one, covered) for one in (inflated, nominal))
+            usual, left = (self.uncovered(one, covered) for one in self.beside_shapes(whole, starts[0]))
             one = self.refine(left, starts, *self.prior(starts[0]))
-            if {*covered} <= {*self.covered(one.params)} and (close or not self.poor(usual, one.cost)):
-                return self.joined(nominal, inflated, one, covered)
+            cost = self._left_by(self.uncovered(whole[1], covered), one)
+            if {*covered} <= {*self.covered(one.params)} and (close or not self.poor(usual, cost)):
+                return self.joined(whole, one, covered)
         return found
 
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:

@@ -160,8 +160,8 @@ class ContactFitter(DiscFitter):
                 nominal, inflated = (self.uncovered(one, covered) for one in everything)
                 if everything is not whole or len(found.params) > 1:
                     found = self.refine(inflated, found.params, *self.prior(found.params))
-        covered, found = self._beside_electrodes(everything[1], found, covered)
-        found = self.joined(*everything, found, covered)
+        covered, found = self.beside_electrodes(whole[1], everything[1], found, covered)
+        found = self.joined(whole, found, covered)
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
         if before is None or (known := self._refitted(*given, found)) is None:
             poor = before is not None and self.poor(everything[0], found.cost)
@@ -244,19 +244,6 @@ class ContactFitter(DiscFitter):
                 if number in self.covered(one.params) and self.price(one, len(under)) < self.price(found, len(covered)):
                     tried.append((under, nominal, inflated, one))
         return min(tried, key=lambda each: self.price(each[3], 0), default=None)
-
-    def _beside_electrodes(
-        self, data: Information, found: Solution, covered: tuple[int, ...]
-    ) -> tuple[tuple[int, ...], Solution]:
-        """The electrodes under contacts, and the contacts with nothing taken to be known of the resistances of these.
-
-        Those that no contact lies on any more, once that is not known, are not counted.
-        """
-        under = (*covered, *(number for number in self.covered(found.params) if number not in covered))
-        if under == covered:
-            return covered, found
-        beside = self.refine(self.uncovered(data, under), found.params, *self.prior(found.params))
-        return (under, beside) if {*under} <= {*self.covered(beside.params)} else (covered, found)
 
     def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
         """The electrode that one contact more most likely covers, if there is one that promises a contact at all.

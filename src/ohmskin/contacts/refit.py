@@ -17,6 +17,7 @@ PROMISED = 0.02  # share of the gain asked of a split that a small one must prom
 WIDE = 1.5  # usual radii of a contact beyond which a pair may be as far apart as it is wide
 LOPSIDED = 4.0  # times the model's error by which a small contact conducts more one way than across it (deviation)
 SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
+MOVED = 0.25  # usual radii by which a contact has another place, where small ones have other shapes
 _ANGLES = np.arange(4) * np.pi / 4
 AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 INVALID, UNCERTAIN, VALID = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others
@@ -59,14 +60,19 @@ def refit(
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)
     mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
-    fit = marginalised(marginalised(inflated, common), shapes)
+    whole, start = marginalised(inflated, common), params[:, :2].copy()
+    fit = marginalised(whole, shapes)
     cost, normal, caused, slopes = refined(
         params, fit[0], fit[1], fit[2], fit[3], mean, prior, np.int64(40), radius, least, smallest, largest, sheet,
         spline, np.inf,
     )  # fmt: skip
+    remaining = cost
+    if len(shapes) and ((params[:, :2] - start) ** 2).sum(axis=1).max() > (MOVED * radius) ** 2:
+        beside = marginalised(whole, shapes_of(params, radius, error, spline))
+        remaining = max(cost, subtract(beside[0], beside[1], beside[2], beside[3], caused)[1])
     signal = max(white[3], 0.0) / count
     share = 1 / (1 + error**2 * signal)
-    doubts[MISFIT] = np.sqrt(cost / (count * (share + USUAL * (1 - share))))
+    doubts[MISFIT] = np.sqrt(remaining / (count * (share + USUAL * (1 - share))))
     covariance, others = inverse(normal), np.empty((1, len(caused)))
     for k in range(n if doubts[MISFIT] <= allowed[MISFIT] else 0):
         own = inverse(np.ascontiguousarray(covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]))
