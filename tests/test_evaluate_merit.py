@@ -152,8 +152,29 @@ def test_the_search_of_eidors_hides_17_3_per_cent_of_a_square() -> None:
     assert eidors_figures(np.ones((64, 64)), (0.0, 0.0)).resolution ** 2 == pytest.approx(1 - 0.1728515625, abs=EXACT)
 
 
+def test_rows_and_columns_may_go_in_either_direction() -> None:
+    image, x, y = canvas(9, 9)
+    image[3:6, 2:5] = 1.0
+    image[7, 7] = -0.5
+    targets = [Target((0.0, 0.0), 1.0)]
+    found = figures_of_merit(image, x, y, targets)[0]
+    assert found.amplitude_response > 0
+    for turned in (
+        figures_of_merit(image[::-1], x, y[::-1], targets)[0],
+        figures_of_merit(image[:, ::-1], x[::-1], y, targets)[0],
+    ):
+        for name in ("amplitude_response", "position_error", "shape_deformation", "ringing", "area"):
+            assert getattr(turned, name) == pytest.approx(getattr(found, name), abs=EXACT)
+
+
 def test_what_cannot_be_judged_is_refused() -> None:
     image, x, y = canvas(6, 5)
+    with pytest.raises(DataError, match="strength must be finite, and the strength not 0"):
+        figures_of_merit(image, x, y, [Target((0.0, 0.0), 0.0)])
+    with pytest.raises(DataError, match="not evenly spaced"):
+        figures_of_merit(image, x**3, y, [Target((0.0, 0.0), 1.0)])
+    with pytest.raises(DataError, match="infinite pixels"):
+        figures_of_merit(np.full_like(image, np.inf), x, y, [Target((0.0, 0.0), 1.0)])
     with pytest.raises(DataError, match="nothing positive"):
         figures_of_merit(image, x, y, [Target((0.0, 0.0), 1.0)])
     with pytest.raises(DataError, match="shape"):

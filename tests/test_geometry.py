@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from ohmskin.errors import GeometryError
-from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Raster, Rectangle, electrode_points, mesh_domain
+from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Polygon, Raster, Rectangle, electrode_points, mesh_domain
 
 SHEET = Rectangle(0.2, 0.2)
 OBLONG = Rectangle(0.3, 0.1)
@@ -328,6 +328,12 @@ def test_grid_rings_name_every_place_of_the_grid_once(columns: int, rows: int, i
             assert np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py) >= -1e-12  # counterclockwise
 
 
+def test_a_grid_spans_a_sheet_wherever_its_origin_is() -> None:
+    centred = Polygon(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
+    there = Electrodes.grid(centred).positions
+    np.testing.assert_allclose(there, Electrodes.grid(Rectangle(0.2, 0.2)).positions - 0.1, atol=1e-12)
+
+
 def test_rim_electrodes_are_evenly_spaced() -> None:
     for domain in DOMAINS:
         arc = domain.arc(Electrodes.rim(domain, 16).positions)
@@ -344,6 +350,8 @@ def test_rim_electrodes_are_evenly_spaced() -> None:
         (lambda: Electrodes.at(SQUARE, ((0, 1, 2),)), "exactly once"),
         (lambda: Electrodes.at(SQUARE, ((0, 1, 2), (2, 3))), "exactly once"),
         (lambda: Electrodes.rim(DISC, 3), "at least 4"),
+        (lambda: Electrodes.rim(DISC, 16.5), "whole number"),
+        (lambda: Electrodes.grid(SHEET, 3.5, 4), "whole numbers"),
         (lambda: Electrodes.grid(SHEET, 1, 4), "at least 2 x 2"),
         (lambda: Electrodes.grid(SHEET, inset=0.1), "grid inset 0.1"),
         (lambda: Electrodes.grid(SHEET, inset=-0.01), "grid inset -0.01"),

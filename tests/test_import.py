@@ -244,6 +244,11 @@ def test_a_table_with_a_pattern_beside_it(tmp_path: Path) -> None:
     recording = read_recording(tmp_path / "a.csv")
     assert recording.frames[0].voltages.tolist() == [0.11, 0.21]
     assert recording.frames[0].currents.tolist() == [5e-3, 5e-3]
+    assert recording.notes == ("the file does not name its skin: name one",)
+    (tmp_path / "a.pattern.csv").write_text("# First: 1\nsource,sink,plus,minus\n1,2,3,4\n2,3,4,1\n")
+    from_one = read_recording(tmp_path / "a.csv")
+    assert from_one.frames[0].pattern == recording.frames[0].pattern
+    assert "no current in the file: 1 A is assumed" in from_one.notes
     (tmp_path / "a.pattern.csv").rename(tmp_path / "p.csv")
     again = read_recording(tmp_path / "a.csv", pattern=tmp_path / "p.csv")
     assert again.frames[0].pattern == recording.frames[0].pattern
@@ -289,6 +294,9 @@ UNBALANCED = THREE * np.array([1, 1, 1.1] + [1] * 13)[:, None]
         (mat(CurrentPattern=circulant(16, 1), Uel=np.zeros((16, 16))), "not beside it; give reference="),
         (table(first="# first = 2"), "counted from 0 or 1"),
         (table(first="# last = 1"), r"unknown setting 'last'; choose from first, current, skin"),
+        (table(first="# first = 1 (of sixteen)"), r"'# first = 1 \(of sixteen\)' sets first to no single value"),
+        (table(first="# current: 5 mA"), "'# current: 5 mA' sets current to no single value"),
+        (table(first="# values = differences"), "only tables of presses have others than voltages"),
         (table(header="sauce,"), "a.csv: 8 columns and no pattern"),
         (table(cell="0.3l"), "every entry must be a number"),
         (table(row="1, 2, 1, 5"), None),  # at a driven electrode: left out

@@ -402,6 +402,13 @@ def test_pictures_and_films(
         (["recover", "press.mcap", "press.mcap"], "press.mcap exists and is never overwritten"),
         (["export", "press.mcap", "--to", "csv", "--output", "text.mcap"], "text.mcap exists and is never overwritten"),
         (["export", "text.mcap", "--to", "npz"], "text.mcap is not a recording of ohmskin"),
+        (["export", "press.mcap", "--to", "npz", "--start", "1e6"], "--start 1e+06: the recording has 0 to"),
+        (
+            ["export", "press.mcap", "--to", "csv", "--mode", "12B"],
+            "--mode is for --to png or mp4; leave it out",
+        ),
+        (["export", "press.mcap", "--to", "png", "--rate", "5"], "--rate is for --to mp4; leave it out for png"),
+        (["image", "press.mcap", "--frame", "-1"], "--frame -1; it must be 0, the first cycle, or more"),
         (["record", "press.mcap"], "press.mcap exists, and a recording is never overwritten"),
         (["record", "nowhere/a.mcap"], "there is no folder"),
         (["record", "a.mcap", "--seconds", "0"], "--seconds is 0"),

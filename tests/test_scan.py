@@ -106,6 +106,13 @@ def test_a_step_that_does_not_fit_the_rings_is_refused(rings: list[range], step:
         skip(rings, step)
 
 
+def test_rings_name_each_electrode_once_and_half_way_round_needs_an_even_number() -> None:
+    with pytest.raises(PatternError, match="electrode 0 is in the rings more than once"):
+        adjacent([range(8), range(8)])
+    with pytest.raises(PatternError, match="a ring of 17 electrodes has none half-way round"):
+        opposite(range(17))
+
+
 @given(injections)
 def test_driven_electrodes_are_not_measured_and_all_others_are_spanned(case: tuple[int, list[list[int]]]) -> None:
     n, pairs = case

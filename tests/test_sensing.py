@@ -328,6 +328,16 @@ def smooth_prior(model):
     return graph_laplacian
 
 
+def test_a_package_that_cannot_be_loaded_is_told_and_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = EntryPoint("broken", "no_such_package:estimator", "ohmskin.estimators")
+    monkeypatch.setattr(registry, "entry_points", lambda group: [broken] if group == broken.group else [])
+    why = "estimator 'broken' cannot be loaded from no_such_package:estimator: ModuleNotFoundError"
+    assert ESTIMATORS.title("broken").startswith(why)
+    assert {*ESTIMATORS} > {"broken", "kalman"}
+    with pytest.raises(ModelError, match=why):
+        ESTIMATORS["broken"]
+
+
 def test_other_packages_add_theirs_by_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     offered = {
         "ohmskin.drives": "first_pairs",
@@ -556,6 +566,25 @@ def test_a_hard_press_is_one_contact_over_an_electrode_too(place: tuple[float, f
     (contact,) = where.simulate(modes(where.skin)["16P"], (disc(*place, 25e-3, 20e3),), 0).contacts
     np.testing.assert_allclose(contact.position, place, atol=2.5e-3)
     assert contact.radius > 20e-3
+
+
+def test_of_more_contacts_than_are_looked_for_none_is_sure() -> None:
+    mode, twin = modes(PAPER)["16P"], VirtualSkin(PAPER, seed=5)
+    patterns = drive_of(mode, PAPER).patterns
+    sensor = build(mode, SkinModel(PAPER, PAPER.transfer_model(), [twin.scan(p) for _ in range(20) for p in patterns]))
+    places = [(x, y) for y in (0.03, 0.1, 0.17) for x in (0.03, 0.1, 0.17)]
+
+    def confidences(count: int) -> list[float]:
+        """Those of each contact of the last of a dozen frames."""
+        state = sensor.start()
+        for number, (x, y) in enumerate(places):
+            twin.press(number, x, y, 6e-3, 25e3 if number < count else 0.0)
+        for _ in range(12):
+            state, percept = sensor.step(state, twin.scan)
+        return [contact.confidence for contact in percept.contacts]
+
+    assert confidences(6) == [1.0] * 6
+    assert max(confidences(8), default=0.0) == 0.0
 
 
 def test_data_that_are_not_of_the_skin_make_no_contact_that_is_sure() -> None:

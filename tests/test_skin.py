@@ -168,6 +168,11 @@ def test_skins_are_found_by_name_or_path(tmp_path: Path, monkeypatch: pytest.Mon
         match=r"cannot read skin file .*absent.toml.*shipped skins are dome, ktc2023, paper, paper-rim16, sleeve",
     ):
         Skin.load("absent.toml")
+    (tmp_path / "empty.toml").write_text(" \n")
+    with pytest.raises(SkinError, match=r"skin file empty\.toml is empty"):
+        Skin.load("empty.toml")
+    (tmp_path / "marked.toml").write_text('name = "mine"\n', encoding="utf-8-sig")
+    assert Skin.load("marked.toml").name == "mine"
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SkinError, match="cannot read skin file"):
         Skin.load("binary.toml")
@@ -516,6 +521,15 @@ def test_a_press_off_the_sheet_is_refused_and_changes_nothing() -> None:
         skin.press(1, 0.0, 0.0, 0.01, -5.0)
     assert skin.presses == {}
     skin.press(1, 0.056, 0.056, 0.01, 1e4)
+    assert len(skin.presses) == 1
+
+
+def test_a_press_on_the_rim_is_not_refused_for_rounding() -> None:
+    """Devices are told places in single precision."""
+    skin = VirtualSkin(Skin.load("paper"), seed=0)
+    x, y = (float(np.float32(0.2)) for _ in range(2))
+    assert x > 0.2
+    skin.press(1, x, y, 0.006, 1e4)
     assert len(skin.presses) == 1
 
 

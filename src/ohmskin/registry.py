@@ -27,14 +27,18 @@ class Registry(Mapping[str, T], Generic[T]):
         """The thing of that name.
 
         Raises:
-            OhmskinError: If there is none; the message lists those there are.
+            OhmskinError: If there is none; the message lists those there are. If its package cannot be imported.
         """
         if name in self._own:
             return self._own[name]
         found = self._others()
         if name not in found:
             raise self._error(f"no {self.noun} {name!r}; choose from {', '.join(self)}{self._hint}")
-        loaded: T = found[name].load()
+        try:
+            loaded: T = found[name].load()
+        except Exception as error:  # whatever another package may raise
+            why = f"{type(error).__name__}: {error}"
+            raise self._error(f"{self.noun} {name!r} cannot be loaded from {found[name].value}: {why}") from error
         return loaded
 
     def __contains__(self, name: object) -> bool:
@@ -58,8 +62,12 @@ class Registry(Mapping[str, T], Generic[T]):
         self._own[name] = thing
 
     def title(self, name: str) -> str:
-        """The first line of what documents it."""
-        return (getattr(self[name], "__doc__", None) or name).strip().splitlines()[0].rstrip(".")
+        """The first line of what documents it, or why it cannot be loaded."""
+        try:
+            thing = self[name]
+        except OhmskinError as error:
+            return str(error)
+        return (getattr(thing, "__doc__", None) or name).strip().splitlines()[0].rstrip(".")
 
     def _others(self) -> dict[str, EntryPoint]:
         return {entry.name: entry for entry in entry_points(group=self.group)}

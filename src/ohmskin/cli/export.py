@@ -12,6 +12,8 @@ from ohmskin.mcap import RecordingReader, is_recording
 from ohmskin.recording import export as exporting
 from ohmskin.recording.player import reimage
 
+_RATE = 25.0  # 1/s
+
 
 def export(
     file: Path,
@@ -24,7 +26,7 @@ def export(
     at: float | None = None,
     mode: str = "",
     skin: str = "",
-    rate: float = 25.0,
+    rate: float = _RATE,
 ) -> None:
     """Write a recording as csv, npz, parquet, png or mp4; columns and units are in docs/guide/recording.md.
 
@@ -43,6 +45,15 @@ def export(
     check_recording(file)
     if (start is not None and not start >= 0) or (seconds is not None and not seconds > 0):
         raise OhmskinError("--start must be 0 or more and --seconds positive")
+    for name, given, kinds in (
+        ("--at", at is not None, ("png",)),
+        ("--mode", bool(mode), ("png", "mp4")),
+        ("--skin", bool(skin), ("png", "mp4")),
+        ("--rate", rate != _RATE, ("mp4",)),
+        ("--what", what != "contacts", ("csv", "parquet")),
+    ):
+        if given and to not in kinds:
+            raise OhmskinError(f"{name} is for --to {' or '.join(kinds)}; leave it out for {to}")
     if not 0 < rate <= 240:
         raise OhmskinError(f"--rate is {rate:g}; it must be above 0 and at most 240")
     stop = (start or 0.0) + seconds if seconds is not None else np.inf
@@ -66,6 +77,8 @@ def export(
     with RecordingReader(file) as reader:
         for note in reader.notes:
             print(f"# {note}", file=sys.stderr)
+        if begin > (end := reader.times.max(initial=0.0)):
+            raise DataError(f"--start {begin:g}: the recording has 0 to {end:g} s")
         if to == "npz":
             shapes = exporting.write_npz(target, reader, begin, stop)
             print(f"{target}: {', '.join(f'{name} {shape}' for name, shape in shapes.items() if len(shape))}")

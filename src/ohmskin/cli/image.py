@@ -60,7 +60,9 @@ def image(
         cycles = reimage(file, estimator, prior, rule, skin=skin)
         if frame is None:
             cycle = strongest(watched(cycles))
-        elif frame < 0 or (found := next(islice(cycles, frame, None), None)) is None:
+        elif frame < 0:
+            raise DataError(f"--frame {frame}; it must be 0, the first cycle, or more")
+        elif (found := next(islice(cycles, frame, None), None)) is None:
             by_time = f"`ohmskin export {file} --to png --at SECONDS` finds one by time"
             raise DataError(f"--frame {frame}: {file} has fewer cycles; {by_time}")
         else:

@@ -62,12 +62,13 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
 
     Args:
         pixels: (ny, nx) image, conductivity raised by contacts being positive; NaN off the domain.
-        x: (nx,) pixel centres in metres, evenly spaced.
-        y: (ny,) pixel centres in metres, evenly spaced.
+        x: (nx,) pixel centres in metres, evenly spaced, in either direction.
+        y: (ny,) pixel centres in metres, likewise.
         targets: The true contacts.
 
     Raises:
-        DataError: If shapes do not fit, there is no target, or a target's cell has no positive pixel.
+        DataError: If shapes do not fit, pixels are infinite or not evenly spaced, there is no target, one has no place
+            or no strength, or a target's cell has no positive pixel.
     """
     image, x, y = np.asarray(pixels, float), np.asarray(x, float), np.asarray(y, float)
     if image.shape != (len(y), len(x)) or min(image.shape) < 2:
@@ -75,7 +76,12 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
         raise DataError(f"{text} need that shape, 2 x 2 or more")
     if not targets:
         raise DataError("no target to compare the image with; give at least one")
-    pixel = float((x[-1] - x[0]) / (len(x) - 1) * (y[-1] - y[0]) / (len(y) - 1))
+    for target in targets:
+        if not np.isfinite([*target.position, target.strength]).all() or target.strength == 0:
+            raise DataError(f"{target}: place and strength must be finite, and the strength not 0")
+    if np.isinf(image).any():
+        raise DataError("the image has infinite pixels; those off the domain are NaN")
+    pixel = _spacing(x) * _spacing(y)
     inside = np.isfinite(image)
     px, py = (grid[inside] for grid in np.meshgrid(x, y))
     values = image[inside]
@@ -83,6 +89,14 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
     owner = np.argmin((px[:, None] - centres[:, 0]) ** 2 + (py[:, None] - centres[:, 1]) ** 2, axis=1)
     cells = ((target, owner == number) for number, target in enumerate(targets))
     return [_merit(values[own], px[own], py[own], target, pixel, len(values)) for target, own in cells]
+
+
+def _spacing(centres: Floats) -> float:
+    """Distance of evenly spaced pixel centres (m)."""
+    steps = np.diff(centres)
+    if not (steps[0] and np.abs(steps / steps[0] - 1).max() < 1e-3):
+        raise DataError(f"pixel centres from {centres[0]:g} to {centres[-1]:g} m are not evenly spaced")
+    return float(abs(steps.mean()))
 
 
 def _merit(values: Floats, x: Floats, y: Floats, target: Target, pixel: float, in_domain: int) -> Merit:

@@ -258,8 +258,8 @@ class Electrodes(ReadOnly):
         Raises:
             GeometryError: If there are fewer than 4, or `start` is out of range.
         """
-        if count < 4:
-            raise GeometryError(f"{count} electrodes on the rim; need at least 4")
+        if count < 4 or count % 1:
+            raise GeometryError(f"{count} electrodes on the rim; need a whole number, at least 4")
         if not 0 <= start < 1:
             raise GeometryError(f"start {start} of the rim; it must be from 0 to below 1, a share of the rim's length")
         shares = start + (-1 if clockwise else 1) * np.arange(count) / count
@@ -283,17 +283,17 @@ class Electrodes(ReadOnly):
         Raises:
             GeometryError: If one of them is out of range.
         """
-        if columns < 2 or rows < 2:
-            raise GeometryError(f"a grid of {columns} x {rows} electrodes; need at least 2 x 2")
+        if min(columns, rows) < 2 or columns % 1 or rows % 1:
+            raise GeometryError(f"a grid of {columns} x {rows} electrodes; need whole numbers, at least 2 x 2")
         x0, y0, x1, y1 = sheet.bounds
         if not 0 <= inset < (y1 - y0 if sheet.period else min(x1 - x0, y1 - y0)) / 2:
             raise GeometryError(f"grid inset {inset} m; it must be from 0 to below half of the sheet's shorter side")
-        x = np.linspace(inset, x1 - inset, columns)
-        y = np.linspace(inset, y1 - inset, rows)
+        x = np.linspace(x0 + inset, x1 - inset, columns)
+        y = np.linspace(y0 + inset, y1 - inset, rows)
         positions: list[tuple[float, float]] = []
         rings: list[tuple[int, ...]] = []
         if sheet.period:
-            x = x1 * np.arange(columns) / columns
+            x = x0 + (x1 - x0) * np.arange(columns) / columns
             for low, high in zip(y[: (rows + 1) // 2], y[::-1], strict=False):
                 ring = list(dict.fromkeys([(a, low) for a in x] + [(a, high) for a in x[::-1]]))
                 rings.append(tuple(range(len(positions), len(positions) + len(ring))))

@@ -71,6 +71,8 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
         return Recording(*_pyeidors(data, path))
     pattern = _parse(description, str(pattern_path)) if description is not None else data
     settings = {**pattern.settings, **data.settings}
+    if settings.get("values", presses.VALUES[0]) != presses.VALUES[0]:
+        raise DataError(f"{path}: values = {settings['values']}; only tables of presses have others than voltages")
     imported = _pattern(replace(pattern, settings=settings), driven)
     used = {*_ELECTRODES, "current"} if description is None else set()
     names = data.header or tuple(f"column {k + 1}" for k in range(data.cells.shape[1]))
@@ -93,10 +95,14 @@ def _parse(text: str, name: str) -> _Table:
     for line in text.splitlines():
         if not line.strip().startswith("#"):
             lines.append(line)
-        elif setting := re.fullmatch(r"#\s*(\w+)\s*=\s*(\S+)\s*", line.strip()):
-            if setting[1] not in _SETTINGS:
-                raise DataError(f"{name}: unknown setting {setting[1]!r}; choose from {', '.join(_SETTINGS)}")
-            settings[setting[1]] = setting[2]
+        elif setting := re.fullmatch(r"#\s*(\w+)\s*([=:])\s*(.*)", line.strip()):
+            key, sign, value = setting[1].lower(), setting[2], setting[3].split()
+            if key in _SETTINGS and len(value) != 1:
+                raise DataError(f"{name}: {line.strip()!r} sets {key} to no single value; write such as # first = 1")
+            if key in _SETTINGS:
+                settings[key] = value[0]
+            elif sign == "=" and len(value) == 1:
+                raise DataError(f"{name}: unknown setting {key!r}; choose from {', '.join(_SETTINGS)}")
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
     except csv.Error as error:
@@ -142,10 +148,12 @@ def _pattern(pattern: _Table, driven: bool) -> ImportedPattern:
     if first not in (0, 1):
         raise DataError(f"{pattern.name}: first = {first}; electrodes are counted from 0 or 1")
     currents = pattern.column("current") if "current" in pattern.header else np.full(len(quads), current)
+    told = "current" in pattern.header or "current" in pattern.settings
     try:
-        return from_list(quads - first, currents, driven)
+        imported = from_list(quads - first, currents, driven)
     except DataError as error:
         raise DataError(f"{pattern.name}: {error}") from error
+    return imported if told else replace(imported, notes=(*imported.notes, "no current in the file: 1 A is assumed"))
 
 
 def _pyeidors(data: _Table, path: Path) -> Parts:

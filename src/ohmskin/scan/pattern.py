@@ -237,14 +237,19 @@ def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
         step: Places from source to sink, 1 for neighbours.
 
     Raises:
-        PatternError: If `step` is not between 1 and the size of the smallest driven ring less one.
+        PatternError: If `step` is not between 1 and the size of the smallest driven ring less one, or an electrode is
+            named twice.
     """
     rings = [_ring(ring, rings) for ring in (rings if isinstance(rings, Iterable) else [rings])]
+    electrodes = [electrode for ring in rings for electrode in ring]
+    if len({*electrodes}) < len(electrodes):
+        twice = next(electrode for electrode in electrodes if electrodes.count(electrode) > 1)
+        raise PatternError(f"electrode {twice} is in the rings more than once; name each once")
     smallest = min((len(ring) for ring in rings if len(ring) > 1), default=1)
     if not 1 <= step < smallest:
         raise PatternError(f"step {step}; it must be 1..{smallest - 1} for rings of {smallest} electrodes or more")
     injections = [(ring[k], ring[(k + step) % len(ring)]) for ring in rings if len(ring) > 1 for k in range(len(ring))]
-    return measure_others(np.array(injections), [e for ring in rings for e in ring])
+    return measure_others(np.array(injections), electrodes)
 
 
 def adjacent(rings: Sequence[Sequence[int]]) -> DrivePattern:
@@ -266,10 +271,12 @@ def opposite(ring: Sequence[int]) -> DrivePattern:
         ring: Electrode numbers in their order round it, such as range(16).
 
     Raises:
-        PatternError: If there are fewer than four electrodes, or the ring is no list of numbers.
+        PatternError: If there are fewer than four electrodes or an odd number, or the ring is no list of numbers.
     """
     ring = _ring(ring, ring)
     half = len(ring) // 2
+    if len(ring) % 2:
+        raise PatternError(f"a ring of {len(ring)} electrodes has none half-way round from another; use `skip`")
     return measure_others(np.array([(ring[k], ring[k + half]) for k in range(half)]), list(ring))
 
 

@@ -124,7 +124,8 @@ class Diagnosis:
             case "currents":
                 return "currents of some injections are implausible; left out"
             case "unlike":
-                return "no contacts explain the change: another skin, swapped wires, or damage; calibrate again"
+                causes = "another skin, swapped wires, damage, or more contacts than six"
+                return f"no contacts explain the change: {causes}; lift all, and calibrate again"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":

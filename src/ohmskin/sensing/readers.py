@@ -240,12 +240,14 @@ class FitReader:
             last = self._explained(fitter, new[-1:], drift, known)  # what came or went within the frame is in it
             explained, unexplained = min((explained, unexplained), last, key=itemgetter(1))
         solution = explained.solution
+        poor = self.fitter.poor(explained.data, solution.cost)
+        if poor and len(solution.params) == fitter.most:
+            unexplained = 1.0  # there are more than are looked for, so that any of these may be wrong
         found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
         drift = drift.followed(fitter, explained, not found, elapsed)
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
-        explains = not found or not self.fitter.poor(explained.data, solution.cost)
-        return changed(belief, solution=solution, searched=searched, explains=explains)
+        return changed(belief, solution=solution, searched=searched, explains=not found or not poor)
 
     def _explained(
         self, fitter: ContactFitter, scans: Sequence[Difference], drift: Drift, known: Solution | None

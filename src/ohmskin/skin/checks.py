@@ -29,7 +29,9 @@ def read_text(path: Path, most: int, what: str) -> str:
             content = file.read(most + 1)
         if len(content) > most:
             raise SkinError(f"{what} {path} has more than {most} bytes; check that it is the right file")
-        return content.decode()
+        if not content.strip():
+            raise SkinError(f"{what} {path} is empty; write it again, or take another")
+        return content.decode("utf-8-sig")  # some editors begin with a byte order mark
     except (OSError, ValueError) as error:  # also a name with a null byte
         raise SkinError(f"cannot read {what} {path}: {error}") from error
 

@@ -21,6 +21,7 @@ from ohmskin.skin.twin import MOST_PRESSURE, Press, PressedSheet
 
 _MOST_CONTACTS = 5000  # of patches under all presses: memory goes with the square, time with the cube
 _YIELDED = 2e-3  # change of what acts on the sheet by which creeping foam is modelled anew
+_ROUNDED = 1e-6  # m by which a place on the rim may seem to be off the sheet: it is sent in single precision
 
 
 @lru_cache(maxsize=8)
@@ -189,7 +190,7 @@ class VirtualSkin:
         return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(acting))
 
     def _check_on_sheet(self, press: Press) -> None:
-        if self.skin.domain.depth([press.position])[0] < 0:
+        if self.skin.domain.depth([press.position])[0] < -_ROUNDED:
             x, y = press.position
             bounds = self.skin.domain.bounds
             raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {bounds} m")
