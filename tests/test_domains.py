@@ -142,6 +142,7 @@ def test_rim_electrodes_sit_on_a_hole_as_well() -> None:
     [
         (lambda: Polygon([[0, 0], [1, 0]]), "need \\(n, 2\\) with n >= 3"),
         (lambda: Polygon([[0, 0], [1, 0], [1, np.nan]]), "corner 2 is not finite"),
+        (lambda: Polygon([[0, 0], [1, 0], [2, 0]]), "lie on one line"),
         (lambda: Polygon([[0, 0], [1, 0], [1, 0], [0, 1]]), "corners 1 and 2 are at the same place"),
         (lambda: Polygon([[0, 0], [1, 1], [1, 0], [0, 1.1]]), "sides 0 and 2 cross"),
         (lambda: Polygon([[0, 0], [1, 0], [1, 1], [0, 1]], [regular(8, 0.2, (1, 0.5))]), "hole 0 is not inside"),

@@ -101,6 +101,13 @@ def made(name: str):
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
+def test_an_image_of_a_frame_is_refused_in_words(name: str) -> None:
+    measured = Frame(PATTERN, voltages(), np.full(PATTERN.n_inj, CURRENT), 0.0)
+    with pytest.raises(DataError, match="made of differences, not of a Frame"):
+        made(name).reconstruct(measured)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
 def test_a_touch_is_found_where_it_is_and_has_the_right_sign(name: str) -> None:
     image = made(name).reconstruct(touch((*AT, 0.012, 0.5)))
     assert image.values.shape == (model().mesh.n_elem,)

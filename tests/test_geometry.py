@@ -374,6 +374,8 @@ def test_raster_of_an_oblong_sheet_has_x_along_columns_and_y_up() -> None:
     np.testing.assert_allclose(raster.y, 0.005 + 0.01 * np.arange(10), atol=1e-12)
     assert raster.inside.shape == (10, 30)
     assert raster.inside.all()
+    with pytest.raises(GeometryError, match=r"shape \(5,\); this mesh has"):
+        raster(np.ones(5))
     picture = raster(np.exp(-np.sum((mesh.centroids - [0.255, 0.015]) ** 2, axis=1) / 0.02**2))
     row, column = np.unravel_index(np.nanargmax(picture), picture.shape)
     assert (raster.x[column], raster.y[row]) == pytest.approx((0.255, 0.015))

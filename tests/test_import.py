@@ -298,7 +298,7 @@ UNBALANCED = THREE * np.array([1, 1, 1.1] + [1] * 13)[:, None]
         (table(first="# current: 5 mA"), "'# current: 5 mA' sets current to no single value"),
         (table(first="# values = differences"), "only tables of presses have others than voltages"),
         (table(header="sauce,"), "a.csv: 8 columns and no pattern"),
-        (table(cell="0.3l"), "every entry must be a number"),
+        (table(cell="0.3l"), "row [0-9], column [0-9] is '0.3l'; every entry must be a number"),
         (table(row="1, 2, 1, 5"), None),  # at a driven electrode: left out
         (table(row="1, 2, 4, 4"), "twice"),
         (table(row="1, 2, 4, 5, 1"), "row 3: 9 columns; the first row has 8"),

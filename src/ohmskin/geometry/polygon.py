@@ -45,8 +45,8 @@ class Polygon:
         holes: The holes, as polygons.
 
     Raises:
-        GeometryError: If an outline has less than three corners, repeats one or crosses itself, or a hole is not
-            inside, crosses the outline or overlaps another hole.
+        GeometryError: If an outline has less than three corners or no area, repeats a corner or crosses itself, or a
+            hole is not inside, crosses the outline or overlaps another hole.
     """
 
     period = 0.0
@@ -62,6 +62,8 @@ class Polygon:
         if steps.min() <= 1e-9 * extent:
             k = int(np.argmin(steps))
             raise GeometryError(f"polygon corners {k} and {(k + 1) % len(vertices)} are at the same place; remove one")
+        if abs(_signed_area(vertices)) <= 1e-9 * extent**2:
+            raise GeometryError("the corners of a polygon lie on one line; it has no area")
         if _signed_area(vertices) < 0:
             vertices = np.roll(vertices[::-1], 1, axis=0)
         vertices.setflags(write=False)

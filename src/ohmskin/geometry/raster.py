@@ -46,8 +46,15 @@ class Raster:
         self.weights = sp.csr_array(from_nodes @ node_means(mesh))
 
     def __call__(self, values: ArrayLike) -> Floats:
-        """Pixel values (ny, nx) of an element image (n_elem,): linear between nodes, NaN off the mesh."""
-        pixels = (self.weights @ np.asarray(values, float)).reshape(self.inside.shape)
+        """Pixel values (ny, nx) of an element image (n_elem,): linear between nodes, NaN off the mesh.
+
+        Raises:
+            GeometryError: If it has not a value for each element.
+        """
+        image, n_elem = np.asarray(values, float), self.weights.shape[1]
+        if image.shape != (n_elem,):
+            raise GeometryError(f"an image of shape {image.shape}; this mesh has ({n_elem},) elements")
+        pixels = (self.weights @ image).reshape(self.inside.shape)
         return np.where(self.inside, pixels, np.nan)
 
 

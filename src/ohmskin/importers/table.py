@@ -93,7 +93,7 @@ def _parse(text: str, name: str) -> _Table:
     settings = {}
     lines = []
     for line in text.splitlines():
-        if not line.strip().startswith("#"):
+        if line.strip() and not line.strip().startswith("#"):
             lines.append(line)
         elif setting := re.fullmatch(r"#\s*(\w+)\s*([=:])\s*(.*)", line.strip()):
             key, sign, value = setting[1].lower(), setting[2], setting[3].split()
@@ -124,7 +124,10 @@ def _parse(text: str, name: str) -> _Table:
     try:
         cells = np.array([[float(cell) if cell else math.nan for cell in row] for row in rows])
     except ValueError as error:
-        raise DataError(f"{name}: {error}; every entry must be a number") from error
+        places = ((i, k, cell) for i, row in enumerate(rows, 1 + bool(header)) for k, cell in enumerate(row, 1))
+        number, column, cell = next(place for place in places if not _is_number(place[2]))
+        where = f"{name}, row {number}, column {column} is {cell[:40]!r}"
+        raise DataError(f"{where}; every entry must be a number") from error
     return _Table(name, header, cells, settings)
 
 

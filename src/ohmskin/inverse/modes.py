@@ -126,6 +126,8 @@ def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Di
     """
     if not differences:
         raise DataError("no scan to make an image of; give at least one")
+    if other := [type(d).__name__ for d in differences if not isinstance(d, Difference)]:
+        raise DataError(f"images are made of differences, not of a {other[0]}: `Baseline.difference` gives them")
     currents = [np.where(np.isfinite(difference.currents), difference.currents, np.nan) for difference in differences]
     rows = [rows_of(difference) * amperes[:, None] for difference, amperes in zip(differences, currents, strict=True)]
     stacked = rows[0] if len(rows) == 1 else np.vstack(rows)

@@ -28,7 +28,7 @@ from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
-_DRIFT = 0.5  # share of the signal that contacts leave, from which on it is drift,
+_DRIFT = 0.25  # share of the signal that contacts leave, from which on it is drift,
 _SURE = 2.0  # if that is surely more than noise (deviations),
 _LITTLE = 10.0  # and all is little (squared size over noise)
 
