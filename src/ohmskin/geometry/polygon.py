@@ -62,8 +62,6 @@ class Polygon:
         if steps.min() <= 1e-9 * extent:
             k = int(np.argmin(steps))
             raise GeometryError(f"polygon corners {k} and {(k + 1) % len(vertices)} are at the same place; remove one")
-        if abs(_signed_area(vertices)) <= 1e-9 * extent**2:
-            raise GeometryError("the corners of a polygon lie on one line; it has no area")
         if _signed_area(vertices) < 0:
             vertices = np.roll(vertices[::-1], 1, axis=0)
         vertices.setflags(write=False)
@@ -71,6 +69,8 @@ class Polygon:
         self._line = ClosedLine(np.vstack([vertices, vertices[:1]]))
         if (crossing := _first_crossing(self._sides, self._sides)) is not None:
             raise GeometryError(f"polygon sides {crossing[0]} and {crossing[1]} cross; order corners along the outline")
+        if abs(_signed_area(vertices)) <= 1e-9 * extent**2:
+            raise GeometryError("the corners of a polygon lie on one line; it has no area")
         self.holes: tuple[Polygon, ...] = ()  # until they are known to lie inside
         within = tuple(Polygon(hole) for hole in holes)
         for k, hole in enumerate(within):
