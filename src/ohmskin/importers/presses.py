@@ -180,7 +180,7 @@ def _adjacent(
     try:
         current = float(settings.get("current", "1"))
     except ValueError as error:
-        raise DataError(f"{name}: {error} in its settings (current = 5e-3)") from error
+        raise DataError(f"{name}: {shown(str(error))} in its settings (current = 5e-3)") from error
     kept = from_list(order.quadruples, np.full(len(order.quadruples), current), False)
     n_elec = int(order.quadruples.max()) + 1
     notes = f"no pattern in the file: adjacent drive of {n_elec} electrodes, {order.words}", *([doubt] if doubt else [])

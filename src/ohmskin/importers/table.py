@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import DataError
+from ohmskin.errors import DataError, shown
 from ohmskin.importers import presses
 from ohmskin.importers.parts import Recording
 from ohmskin.importers.pattern import ImportedPattern, Parts, from_list
@@ -72,7 +72,9 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
     pattern = _parse(description, str(pattern_path)) if description is not None else data
     settings = {**pattern.settings, **data.settings}
     if settings.get("values", presses.VALUES[0]) != presses.VALUES[0]:
-        raise DataError(f"{path}: values = {settings['values']}; only tables of presses have others than voltages")
+        raise DataError(
+            f"{path}: values = {shown(settings['values'])}; only tables of presses have others than voltages"
+        )
     imported = _pattern(replace(pattern, settings=settings), driven)
     used = {*_ELECTRODES, "current"} if description is None else set()
     names = data.header or tuple(f"column {k + 1}" for k in range(data.cells.shape[1]))
@@ -98,11 +100,13 @@ def _parse(text: str, name: str) -> _Table:
         elif setting := re.fullmatch(r"#\s*(\w+)\s*([=:])\s*(.*)", line.strip()):
             key, sign, value = setting[1].lower(), setting[2], setting[3].split()
             if key in _SETTINGS and len(value) != 1:
-                raise DataError(f"{name}: {line.strip()!r} sets {key} to no single value; write such as # first = 1")
+                raise DataError(
+                    f"{name}: {shown(line.strip())} sets {key} to no single value; write such as # first = 1"
+                )
             if key in _SETTINGS:
                 settings[key] = value[0]
             elif sign == "=" and len(value) == 1:
-                raise DataError(f"{name}: unknown setting {key!r}; choose from {', '.join(_SETTINGS)}")
+                raise DataError(f"{name}: unknown setting {shown(key)}; choose from {', '.join(_SETTINGS)}")
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
     except csv.Error as error:
@@ -126,7 +130,7 @@ def _parse(text: str, name: str) -> _Table:
     except ValueError as error:
         places = ((i, k, cell) for i, row in enumerate(rows, 1 + bool(header)) for k, cell in enumerate(row, 1))
         number, column, cell = next(place for place in places if not _is_number(place[2]))
-        where = f"{name}, row {number}, column {column} is {cell[:40]!r}"
+        where = f"{name}, row {number}, column {column} is {shown(cell)}"
         raise DataError(f"{where}; every entry must be a number") from error
     return _Table(name, header, cells, settings)
 
@@ -147,7 +151,7 @@ def _pattern(pattern: _Table, driven: bool) -> ImportedPattern:
         first = int(pattern.settings.get("first", "0"))
         current = float(pattern.settings.get("current", "1"))
     except ValueError as error:
-        raise DataError(f"{pattern.name}: {error} in its settings (first = 1, current = 5e-3)") from error
+        raise DataError(f"{pattern.name}: {shown(str(error))} in its settings (first = 1, current = 5e-3)") from error
     if first not in (0, 1):
         raise DataError(f"{pattern.name}: first = {first}; electrodes are counted from 0 or 1")
     currents = pattern.column("current") if "current" in pattern.header else np.full(len(quads), current)
