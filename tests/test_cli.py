@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import command_line
@@ -23,6 +24,8 @@ from ohmskin.cli import app, main
 from ohmskin.cli.heartbeat import HEARTBEAT
 from ohmskin.cli.options import Stop
 from ohmskin.errors import ModelError
+
+Running = Callable[[Callable[[], None]], None]
 
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "subprocess.CompletedProcess[str]":
@@ -239,9 +242,22 @@ def test_ctrl_c_while_it_imports_says_nothing() -> None:
     assert "Traceback" not in rest
 
 
+@pytest.fixture
+def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+    """Makes a function a command, which `main` runs."""
+
+    def command(compute: Callable[[], None]) -> None:
+        app.command(compute, name="compute")
+        monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
+        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+
+    yield command
+    del app["compute"]
+
+
 @pytest.mark.parametrize("kinds", [(SystemError, SystemError), (ImportError, ImportError), (ModelError, ImportError)])
 def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(
-    kinds: tuple[type[Exception], type[Exception]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kinds: tuple[type[Exception], type[Exception]], running: Running, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of an interrupt Numba's callbacks make a `SystemError` caused by it, pybind11's modules an `ImportError`."""
     kind, inner_kind = kinds
@@ -255,24 +271,18 @@ def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(
     def compute() -> None:
         raise next(raised)
 
-    app.command(compute)
-    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
-    try:
-        with pytest.raises(SystemExit) as end:
-            main()
-        assert end.value.code == 130
-        assert capsys.readouterr().err == ""
-        told = kind is ModelError
-        with pytest.raises(SystemExit if told else kind, match="2" if told else "of another cause"):
-            main()
-        assert capsys.readouterr().err == told * "ohmskin: of another cause\n"
-    finally:
-        del app["compute"]
+    running(compute)
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == ""
+    told = kind is ModelError
+    with pytest.raises(SystemExit if told else kind, match="2" if told else "of another cause"):
+        main()
+    assert capsys.readouterr().err == told * "ohmskin: of another cause\n"
 
 
-def test_an_error_without_a_cause_after_ctrl_c_is_ctrl_c(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_without_a_cause_after_ctrl_c_is_ctrl_c(running: Running, capsys: pytest.CaptureFixture[str]) -> None:
     """Of an interrupt ctypes makes an `ArgumentError`, told from others by its text alone."""
     pressed = iter([True, False])
 
@@ -284,22 +294,15 @@ def test_an_error_without_a_cause_after_ctrl_c_is_ctrl_c(
             pass
         raise ctypes.ArgumentError("argument 1")
 
-    app.command(compute)
-    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    try:
-        with pytest.raises(SystemExit, match="130"):
-            main()
-        assert capsys.readouterr().err == ""
-        with pytest.raises(ctypes.ArgumentError):
-            main()
-    finally:
-        del app["compute"]
+    running(compute)
+    with pytest.raises(SystemExit, match="130"):
+        main()
+    assert capsys.readouterr().err == ""
+    with pytest.raises(ctypes.ArgumentError):
+        main()
 
 
-def test_ctrl_c_in_a_destructor_ends_the_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_in_a_destructor_ends_the_command(running: Running, capsys: pytest.CaptureFixture[str]) -> None:
     """What a destructor raises is swallowed, and so is what the hook raises that is told of it."""
 
     class Deleted:
@@ -310,15 +313,10 @@ def test_ctrl_c_in_a_destructor_ends_the_command(
         Deleted()
         time.sleep(60.0)
 
-    app.command(compute)
-    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    try:
-        with pytest.raises(SystemExit, match="130"):
-            main()
-        assert capsys.readouterr().err == ""
-    finally:
-        del app["compute"]
+    running(compute)
+    with pytest.raises(SystemExit, match="130"):
+        main()
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
