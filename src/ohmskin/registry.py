@@ -66,7 +66,7 @@ class Registry(Mapping[str, T], Generic[T]):
         try:
             thing = self[name]
         except OhmskinError as error:
-            return str(error)
+            return str(error).splitlines()[0]
         return (getattr(thing, "__doc__", None) or name).strip().splitlines()[0].rstrip(".")
 
     def _others(self) -> dict[str, EntryPoint]:

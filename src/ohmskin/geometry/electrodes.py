@@ -256,7 +256,7 @@ class Electrodes(ReadOnly):
             clockwise: Number them clockwise.
 
         Raises:
-            GeometryError: If there are fewer than 4, or `start` is out of range.
+            GeometryError: If there are fewer than 4 or a fraction of one, or `start` is out of range.
         """
         if count < 4 or count % 1:
             raise GeometryError(f"{count} electrodes on the rim; need a whole number, at least 4")
@@ -281,7 +281,7 @@ class Electrodes(ReadOnly):
             inset: Distance of the outer ring from the rim (m), from 0 to below half of the shorter side.
 
         Raises:
-            GeometryError: If one of them is out of range.
+            GeometryError: If one of them is out of range, or there is a fraction of a column or row.
         """
         if min(columns, rows) < 2 or columns % 1 or rows % 1:
             raise GeometryError(f"a grid of {columns} x {rows} electrodes; need whole numbers, at least 2 x 2")

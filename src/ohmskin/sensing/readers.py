@@ -273,7 +273,7 @@ class FitReader:
 
     @staticmethod
     def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:
-        """Whether contacts explain the lesser part of a small change, so that it is rather drift.
+        """Whether contacts leave a large part of a small change, so that it is rather drift.
 
         Of the signal beyond noise, `signal` is all, `left` what they leave.
         """
