@@ -13,10 +13,10 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin import registry
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 from ohmskin.device import Feature
 from ohmskin.device.demo import demo_finger
-from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, part_of
+from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, part_of
 from ohmskin.engine import Engine
 from ohmskin.errors import ModelError, PatternError, SkinError
 from ohmskin.evaluate import worlds
@@ -24,7 +24,7 @@ from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.inverse import PRIORS, RULES, graph_laplacian
 from ohmskin.inverse.estimators import ESTIMATORS, EstimatorSettings
-from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent
 from ohmskin.sensing import (
     DEFAULT,
     MODES,
@@ -654,3 +654,36 @@ def test_a_finger_that_moves_within_its_frames_degrades_no_electrode(seed: int) 
     for _ in range(40):
         state, percept = sensor.step(state, scan)
         assert percept.findings == ()
+
+
+def test_a_base_scan_that_shows_no_more_is_not_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor a sheet that drifts, which contacts explain only in part: each frame had taken tens of milliseconds."""
+    device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=4))
+    with Engine(lambda: device, Skin.load("paper"), "16P") as engine:
+        engine.calibrate()
+        assert engine.sensor is not None
+        locator, pattern, known = engine.sensor.locator, engine.sensor.drive.patterns[0], engine.sensor.known
+
+        def drifted() -> list[Difference]:
+            frame = device.scan(pattern)
+            wave = 4e-3 * np.cos(np.arange(pattern.n_meas))
+            return [known.difference(replace(frame, voltages=(1 + wave) * frame.voltages))]
+
+        def placed(targets: list[Target]) -> Floats:
+            return np.array(sorted(tuple(one.position) for one in targets))
+
+        scans, start = drifted(), engine.sensor.start().belief
+        belief = changed(start, searched=0.1)
+        targets, located = locator.targets(scans, locator.estimate(scans), start)
+        assert located is not None
+        assert len(located.params)
+        assert located.poor > 3 * scans[0].volts.size  # in part alone
+        with monkeypatch.context() as patch:
+            patch.setattr(locator.fitter, "fit_information", lambda *_: pytest.fail("searched again"))
+            for _ in range(5):
+                again, located = locator.targets(drifted(), locator.estimate(scans), belief, located)
+                assert np.linalg.norm(placed(again) - placed(targets), axis=1).max() < 1e-2  # as large as a contact is
+        device.virtual.press(0, 0.05, 0.16, 8e-3, 20e3)
+        more, found = locator.targets(drifted(), locator.estimate(scans), belief, located)
+        assert found is not located
+        assert np.linalg.norm(placed(more) - [0.05, 0.16], axis=1).min() < 5e-3

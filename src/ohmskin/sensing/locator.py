@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions
+from ohmskin.contacts.information import Information
 from ohmskin.contacts.refit import CLEAR
 from ohmskin.drive import Target
 from ohmskin.geometry import Cells
@@ -14,6 +15,8 @@ from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import Estimate, LazyEstimate
 from ohmskin.scan import Difference
 from ohmskin.sensing.readers import Belief, undriven
+
+_MORE = 1.5  # times what was left of a base scan's data, from which on they may show more contacts
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,24 +37,51 @@ class Locator:
         """The image of scans."""
         return LazyEstimate(lambda: self.estimator.reconstruct(*undriven(scans)))
 
-    def targets(self, scans: Sequence[Difference], base_estimate: Estimate, before: Belief) -> list[Target]:
+    def targets(
+        self, scans: Sequence[Difference], base_estimate: Estimate, before: Belief, located: Solution | None = None
+    ) -> tuple[list[Target], Solution | None]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
 
         Those that were fitted to the last frame are taken as they were while they still explain the scans, or where
         nothing explained them; whether more have come is estimated from all scans.
+
+        Args:
+            scans: Of the frame, so far.
+            base_estimate: Their image.
+            before: The belief after the last frame.
+            located: What was searched in base scans last.
+
+        Returns:
+            The contacts, and what has been searched.
         """
         if self.fitter is None:
-            return self._regions(base_estimate.image)
+            return self._regions(base_estimate.image), None
         known = before.solution
         if known is not None and before.detections and (known.poor or self._still(scans, before, known)):
-            return targets_of(before.detections)
+            return targets_of(before.detections), located
         nominal, inflated = self.fitter.information(*scans)
         last = None if known is None else self.fitter.refitted(nominal, inflated, known, search=False)
-        found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.fit_information(nominal, inflated)))
-        if found:
-            return found
+        if last is not None:
+            solution = last[0]
+        else:
+            solution = located = self._searched(nominal, inflated, located if before.searched else None)
+        if found := targets_of(self.fitter.contacts(solution)):
+            return found, located
         height = self.fitter.heights(*self.fitter.scores(nominal))
-        return [Target.possible(self.fitter.places[int(np.argmax(height))], self.fitter.table.radius)]
+        return [Target.possible(self.fitter.places[int(np.argmax(height))], self.fitter.table.radius)], located
+
+    def _searched(self, nominal: Information, inflated: Information, before: Solution | None) -> Solution:
+        """Contacts searched in data, or those from `before` fitted to data that show no more: where contacts explain
+        these only in part, as on a skin that drifts, a search takes long, for what is about the same."""
+        assert self.fitter is not None
+        if before and len(before.params):
+            beside = self.fitter.uncovered(inflated.marginalised_common(), before.covered)
+            found = self.fitter.refine(beside, before.params, *self.fitter.prior(before.params))
+            left = nominal.minus(found.caused).white_residual.constant
+            if left < _MORE * before.poor:
+                return changed(found, covered=before.covered, poor=min(left, before.poor))
+        found = self.fitter.fit_information(nominal, inflated)
+        return changed(found, poor=nominal.minus(found.caused).white_residual.constant)
 
     def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:
         """Whether contacts leave no more of scans than one that is followed may, with no step of a fit."""

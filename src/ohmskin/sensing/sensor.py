@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ohmskin.arrays import changed
-from ohmskin.contacts import Contact, on_skin
+from ohmskin.contacts import Contact, Solution, on_skin
 from ohmskin.drive import Drive
 from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
@@ -101,6 +101,7 @@ class SensorState:
         time: When the last frame was taken (s, on the device's clock); None before the first.
         diagnosis: Detected faults of the instrument.
         presses: State of the presses fitted to contacts.
+        located: The contacts last searched in a base scan.
     """
 
     belief: Belief
@@ -109,6 +110,7 @@ class SensorState:
     time: float | None = None
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
     presses: Presses = field(default=Presses(), repr=False)
+    located: Solution | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +122,14 @@ class Measured:
         scans: Their changes against the quiet skin, the base scan at its usual currents.
         base_estimate: The image of the base scan; None where there is one scan.
         read: What is believed after them, given what was before, where they have been read already.
+        located: The contacts last searched in a base scan.
     """
 
     frames: tuple[Frame, ...]
     scans: tuple[Difference, ...]
     base_estimate: Estimate | None = None
     read: Callable[[Belief], Belief] | None = None
+    located: Solution | None = None
 
 
 class Implementation(Protocol):
@@ -222,7 +226,7 @@ class Sensor:
             )
         contacts = self.total(contacts, measured.frames)
         turn = state.turn + len(measured.frames)
-        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
+        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses, measured.located)
         if _SPIKES in diagnosis.recent_causes:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
         if _UNLIKE in diagnosis.recent_causes:  # the frames before count, too, however well this one is explained
@@ -280,6 +284,7 @@ class Sensor:
         frames: list[Frame] = []
         scans: list[Difference] = []
         base_estimate: Estimate | None = None
+        located = state.located
         targets = [*targets_of(state.belief.contacts), *state.belief.search_targets]
         for number in range(self.drive.scans):
             frames.append(scan(self.drive.next(targets, state.turn + number)))
@@ -291,8 +296,8 @@ class Sensor:
                     _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
                 if _any_known(sound):
                     base_estimate = self.locator.estimate(sound)
-                    targets = self.locator.targets(sound, base_estimate, state.belief)
-        return Measured(tuple(frames), tuple(scans), base_estimate)
+                    targets, located = self.locator.targets(sound, base_estimate, state.belief, located)
+        return Measured(tuple(frames), tuple(scans), base_estimate, located=located)
 
 
 def _any_known(scans: Sequence[Difference]) -> bool:
