@@ -124,6 +124,28 @@ def test_forces_of_two_presses_are_told_apart_and_follow(engine: Engine) -> None
     assert touch.contacts[0].force == pytest.approx(risen.force(FOAM), rel=0.3)
 
 
+def test_no_force_stays_where_presses_that_were_known_cannot_be_evaluated_together(engine: Engine) -> None:
+    """Too wide a press was taken as it was beside a second one; the last force was told from then on, unchanged."""
+    engine.forget()
+    first, second = Press((0.1, 0.1), 8e-3, 20e3), Press((0.15, 0.1), 8e-3, 20e3)
+
+    def told(number: int, press: Press, frames: int) -> list[float | None]:
+        engine.press(number, press.position, press.radius, press.pressure)
+        touches = [touch for touch in (engine.step() for _ in range(frames)) if touch is not None]
+        ours = [min(touch.contacts, key=lambda one: abs(one.position[0] - 0.1)) for touch in touches[frames // 2 :]]
+        return [contact.force for contact in ours]
+
+    told(0, first, 120)
+    forces = [
+        *told(1, second, 60),
+        *told(0, replace(first, pressure=4e3), 60),
+        *told(1, replace(second, pressure=0), 60),
+    ]
+    engine.press(0, first.position, first.radius, 0.0)
+    known = [force for force in forces if force is not None]
+    assert len(set(known)) > 0.9 * len(known) > 0.5 * len(forces)
+
+
 @pytest.mark.parametrize("place", [(0.06, 0.06), (0.13, 0.05), (0.11, 0.14)])
 @pytest.mark.parametrize("radii", [(11e-3, 5e-3), (5e-3, 11e-3)])
 def test_presses_that_jump_to_another_size_are_found_again(

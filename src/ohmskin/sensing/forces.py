@@ -175,12 +175,14 @@ class PressFollower:
         return any(bool((np.hypot(*one.T) > _LOST).any()) for one in away)
 
     def _begun(self, before: Presses, ids: tuple[int, ...], contacts: Sequence[Contact]) -> Presses:
-        """Presses at contacts; those known before as they were, if they are still there."""
+        """Presses at contacts; those known before as they were, if they are still there and can be evaluated so."""
         spots = [Press(contact.position, contact.radius or 1e-3, 0.0) for contact in contacts]
         if self.fitter.most_contacts(spots) > _MOST:
             return Presses(ids)
         estimates = {number: press for number, press in before.estimates.items() if number in ids}
-        return Presses(ids, self._started(contacts, estimates), estimates=estimates)
+        if fits := self._started(contacts, estimates):
+            return Presses(ids, fits, estimates=estimates)
+        return Presses(ids, self._started(contacts, {}))
 
     def _started(self, contacts: Sequence[Contact], estimates: dict[int, FittedPress]) -> tuple[Fit, ...]:
         """Fits of several sizes at contacts; presses with an estimate as they were."""
