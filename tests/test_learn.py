@@ -100,6 +100,39 @@ def test_presses_in_a_robots_frame_register_it_and_leave_contacts_on_the_sheet()
     assert (variances > 0).all()
 
 
+def test_errors_are_those_at_places_not_learned_from_however_often_each_was_pressed() -> None:
+    """They had been a fifth of that: other frames of the same places had been learned from."""
+    given = flawed_skin(37, 24 + 60, silent=0, strange=0)
+    often = replace(given, frames=[*np.repeat(np.array(given.frames[:24], object), 6), *given.frames[24:]])
+    rng = np.random.default_rng(0)
+    often.frames[:144] = [
+        replace(one, voltages=one.voltages + 1e-6 * rng.normal(size=208)) for one in often.frames[:144]
+    ]
+    places = np.vstack([np.repeat(given.positions[:24], 6, axis=0), given.positions[24:]])
+    often = replace(often, positions=places)
+    _, found, changes = physics(often, 144)
+    report = taught(often, found, changes, 144)
+    assert report.places == 24
+    assert "mean error at places (24 are known) not learned from" in report.report()[0]
+    reached, _ = report.map(found[144:], np.nan_to_num(changes[144:]))
+    true = np.nanmean(np.linalg.norm(reached - places[144:], axis=1))
+    assert 0.6 * true < report.mapped.mean() < 1.6 * true
+    assert not any("no better" in line for line in report.report())
+
+
+def test_places_of_other_rows_are_refused() -> None:
+    given = flawed_skin(37, 60, silent=0, strange=0)
+    _, found, changes = physics(given, 60)
+    late = np.roll(given.positions, 1, axis=0)
+    with pytest.raises(DataError, match=r"nothing to do with the presses: places scatter by .*its own press"):
+        learn_positions(given.pattern, found, changes, late, 0.2)
+    some = given.positions.copy()
+    some[:6] = late[:6]
+    report = learn_positions(given.pattern, found, changes, some, 0.2)
+    assert report.far >= 3
+    assert any("felt far from their places" in line for line in report.report())
+
+
 def test_a_similarity_is_found_exactly_mirrored_or_not() -> None:
     random = np.random.default_rng(0)
     here, mirror = random.normal(size=(30, 2)), np.diag([1.0, -1.0])
@@ -207,7 +240,7 @@ def test_magnitudes_differences_and_turned_voltages_are_made_voltages(tmp_path: 
     rest = model.voltages(pattern)
     assert 0.1 < (rest < 0).mean() < 0.9
     random = np.random.default_rng(2)
-    frames = rest * (1 + 0.01 * random.normal(size=(8, pattern.n_meas)))
+    frames = rest * (1 - 0.01 * np.abs(random.normal(size=(8, pattern.n_meas))))  # as of what conducts
     held = {"stim_meas_list": pattern.quadruples + 1, "positions": given.positions, "skin": "paper-rim16"}
 
     def read(name: str, **values: object) -> tuple[Floats, str]:
@@ -221,6 +254,7 @@ def test_magnitudes_differences_and_turned_voltages_are_made_voltages(tmp_path: 
         ("plain", {"voltages": frames, "reference": rest[None]}, ""),
         ("magnitudes", {"voltages": np.abs(frames), "reference": np.abs(rest)[None]}, "signs are the model's"),
         ("differences", {"voltages": frames - rest, "values": "differences"}, "untouched skin is the model's"),
+        ("less", {"voltages": rest - frames, "values": "differences"}, "less the pressed one"),
         ("turned", {"voltages": -frames, "reference": -rest[None]}, "opposite sign"),
     ):
         changes, notes = read(name, **values)
@@ -259,6 +293,35 @@ def test_what_press_data_leave_out_costs_little(seed: int) -> None:
         assert other < 1.15 * usual
 
 
+def test_rows_without_a_place_and_with_no_force_are_what_they_look_like(tmp_path: Path) -> None:
+    given = flawed_skin(36, 12)
+    rest = [frame.voltages for frame in given.quiet[:10]]
+    pressed = [frame.voltages for frame in given.frames]
+    names = [f"v{k}" for k in range(208)]
+    rows = [
+        *([0, 0, 0, 20, *one] for one in rest[:5]),
+        *([np.nan, np.nan, 0, 20, *one] for one in rest[5:]),
+        *([x, y, 1, 20, *one] for (x, y), one in zip(given.positions[:8], pressed, strict=False)),
+        [np.nan, np.nan, 1, 20, *pressed[8]],
+        [given.positions[9][0], np.nan, 1, 20, *pressed[9]],
+        [np.nan, np.nan, np.nan, 20, *pressed[10]],
+    ]
+    file = tmp_path / "presses.csv"
+    np.savetxt(file, rows, delimiter=",", header=",".join(["x", "y", "force", "celsius", *names]), comments="")
+    found = read_recording(file)
+    assert (len(found.quiet), len(found.frames)) == (10, 11)
+    assert found.positions is not None
+    assert np.isfinite(found.positions).all(axis=1).tolist() == 8 * [True] + 3 * [False]
+    notes = " ".join(found.notes)
+    for words in (
+        "3 rows without a place are presses",
+        "5 rows with a force of 0 are of the untouched skin",
+        "'celsius' are left out",
+        "1 A is assumed",
+    ):
+        assert words in notes
+
+
 def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:
     given = flawed_skin(39, 3)
     for change, match in (
@@ -277,5 +340,5 @@ def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:
     savemat(tmp_path / "p.mat", {"voltages": np.ones((5, 208)), "positions": np.ones((4, 2))})
     with pytest.raises(DataError, match=r"voltages have shape \(208, 5\) for 4 positions"):
         read_recording(tmp_path / "p.mat")
-    with pytest.raises(DataError, match="3 of 3 presses of known places were detected; to learn positions press 8"):
+    with pytest.raises(DataError, match=r"3 presses were detected whose places are known, at 3 places; .*press 8"):
         learn_positions(given.pattern, given.positions, np.zeros((3, 208)), given.positions, 0.2)

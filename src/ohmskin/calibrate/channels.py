@@ -112,7 +112,9 @@ def judge_channels(
     felt = np.flatnonzero(size > _FELT * _rms(noise[None, steady]))
     if len(felt) < _LEAST:
         told = f"{len(felt)} of {len(frames)} frames change by more than {_FELT:g} times the noise"
-        raise DataError(f"{told}; to judge channels, press the skin at {_LEAST} places or more, spread over it")
+        raise DataError(
+            f"{told}; to judge channels, press the skin at {_LEAST} places or more, or leave that out (--no-channels)"
+        )
     skipped, felt = len(frames) - len(felt), felt[:: -(-len(felt) // _MOST)]
     ohms = ohms[felt]
     measured = np.isfinite(ohms)

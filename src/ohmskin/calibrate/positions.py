@@ -1,6 +1,7 @@
 """A map of positions from presses of known places: a similarity, and on what it leaves a Gaussian process and networks.
 
-Its accuracy is estimated by cross-validation of all of it: presses are never judged by what was learned from them.
+Its accuracy is estimated by cross-validation of all of it: presses are never judged by what was learned from them, nor
+from others at the same place.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,9 +11,12 @@ from math import log, sqrt
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from scipy.special import stdtr, stdtrit
 
-from ohmskin.arrays import Bools, Floats
+from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.calibrate.networks import can_train, trained
 from ohmskin.calibrate.processes import regress
 from ohmskin.errors import DataError
@@ -21,14 +25,19 @@ from ohmskin.sensing import SkinModel
 from ohmskin.sensing.learned import one_contact
 from ohmskin.skin.positions import PositionMap, Similarity
 
-_LEAST = 8  # presses
+_LEAST = 8  # places
+_SAME = 2e-3  # share of the span of all places within which presses are at the same
 _FEATURES = 24
 _FOLDS = 5
-_MANY = 80  # presses from which networks are trained, too
+_MANY = 80  # places from which networks are trained, too
 _KNOWN, _RATE = 500, 0.01  # presses kept to tell what is unlike them, and the share of false alarms
 _TELLING = 5  # false alarms from which on their rate is counted
 _LIMITS = 1e-3, 0.9  # of distances; changes that have nothing to do with presses are some 1.3 away
 _COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
+_LIKE = 0.5  # share of the places' own scatter that a map of them must come below
+_FAR, _SOME = 0.25, 0.02  # share of the sheet's size that a press is felt away from its place, and of such presses
+_WORSE = 1.1  # times the error without a map, from which on it does not help
+_UNITS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3)  # scales of places that were given in another unit
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
 _NINETY = 4.605  # squared Mahalanobis distance within which are 90 % of a plane's normal distribution
 
@@ -42,6 +51,8 @@ class PositionReport:
         physics, similarity, mapped: (n,) distances of estimated places from the true ones (m): by the physical model,
             after the similarity, after the map. NaN: not detected.
         held: Share of the presses within their 90 % ellipses.
+        places: Number of places pressed, at which presses are judged by what was learned from other places.
+        far: Number of presses felt far from their places.
         curve: The learning curve: from how many presses a map was learned, and its mean error (m) at others.
     """
 
@@ -50,6 +61,8 @@ class PositionReport:
     similarity: Floats
     mapped: Floats
     held: float
+    places: int
+    far: int = 0
     curve: tuple[tuple[int, float], ...] = ()
 
     def report(self) -> list[str]:
@@ -57,11 +70,19 @@ class PositionReport:
         known = np.isfinite(self.physics)
         rows = [("physics", self.physics), ("similarity", self.similarity), ("map", self.mapped)]
         first = rows[0 if self.map.own else 1 :]
-        told = ", ".join(f"{name} {1e3 * np.mean(one[known]):.2f} mm" for name, one in first)
+        errors = {name: float(np.mean(one[known])) for name, one in first}
+        told = ", ".join(f"{name} {1e3 * error:.2f} mm" for name, error in errors.items())
+        at = "presses" if self.places == known.sum() else f"places ({self.places} are known)"
         lines = [
-            f"{known.sum()} of {len(known)} presses detected; mean error at presses not learned from: {told}",
+            f"{known.sum()} of {len(known)} presses detected; mean error at {at} not learned from: {told}",
             f"{100 * self.held:.0f} % of them within their 90 % ellipses",
         ]
+        if errors.pop("map") > _WORSE * min(errors.values()):
+            lines.append("the map makes places no better; learn from more places, or leave it out with --no-positions")
+        if self.far > _SOME * known.sum():
+            lines.append(
+                f"{self.far} presses are felt far from their places: are some places wrong, or in another row?"
+            )
         if self.curve:
             fewer = ", ".join(f"{count} {1e3 * error:.2f} mm" for count, error in self.curve)
             lines.append(f"learned from fewer presses: {fewer}")
@@ -77,6 +98,10 @@ class PositionReport:
             lines.append(
                 f"the presses' frame is not the sheet's: turned by {turn:.1f} degrees{mirrored}, scale {scale:.3f}"
             )
+            if any(one / _OWN_SCALE < scale < one * _OWN_SCALE for one in _UNITS):
+                lines.append(
+                    "places seem to have another unit, and so have these errors: name the columns x_mm or x_cm"
+                )
         return lines
 
 
@@ -125,28 +150,36 @@ def learn_positions(
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        DataError: If fewer than eight presses were detected, or all at one place.
+        DataError: If presses at fewer than eight places were detected, or the places have nothing to do with them.
     """
     known: Bools = np.asarray(np.isfinite(found).all(axis=1) & np.isfinite(places).all(axis=1))
-    if known.sum() < _LEAST or min(np.ptp(places[known], axis=0)) == 0:
-        told = f"{known.sum()} of {len(found)} presses of known places were detected"
+    alike = same_places(places[known])
+    count = int(alike.max(initial=-1)) + 1
+    if count < _LEAST or min(np.ptp(places[known], axis=0)) == 0:
+        told = f"{known.sum()} of {len(found)} presses were detected whose places are known, at {count} places"
         raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
     found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
     own = _is_own(similarity(found, places), found.mean(axis=0), size)
     learn = partial(_learn, pattern, size=size, own=own)
-    order = np.random.default_rng(0).permutation(len(found))
     after, whole, near_only = np.empty_like(places), np.empty_like(places), np.empty_like(places)
     variances, away, left = np.empty((len(places), 2)), np.empty(len(places)), np.empty((2, len(places)))
-    folds = min(_FOLDS, len(found))
+    folds = min(_FOLDS, count)
+    fold = np.argsort(np.random.default_rng(0).permutation(count))[alike] % folds
     for number in range(folds):
-        test = np.sort(order[number::folds])
-        train = np.setdiff1d(order, test)
+        test, train = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
         one = learn(found[train], changes[train], places[train])
         after[test] = one.registration(found[test])
         near_only[test], variances[test, 0] = one.registered(found[test])
         whole[test], variances[test, 1] = one.registered(found[test], changes[test])
         away[test], left[:, test] = one.distances(changes[test]), one.left(changes[test])
         progress((number + 1) / (folds + 2))
+    scatter, missed = (
+        float(np.sqrt((one**2).sum(axis=1).mean())) for one in (places - places.mean(axis=0), whole - places)
+    )
+    if missed > _LIKE * scatter:
+        told = f"places scatter by {1e3 * scatter:.3g} mm, a map from others misses them by {1e3 * missed:.3g} mm"
+        advice = "check that each row has the place of its own press, and the skin; or leave places out: --no-positions"
+        raise DataError(f"the places have nothing to do with the presses: {told}; {advice}")
     final, (limit, rate) = learn(found, changes, places), novelty(away)
     misses = [((one - places) ** 2).sum(axis=1) / variances[:, k] for k, one in enumerate((near_only, whole))]
     trust = np.maximum([_ninety(one) / _NINETY for one in misses], 0.1)
@@ -156,19 +189,34 @@ def learn_positions(
     # each fold by the trust that the others give, so that the share held is not of what it was set by
     held = np.empty(len(places), bool)
     for number in range(folds):
-        test = order[number::folds]
-        others = np.setdiff1d(order, test)
-        held[test] = misses[1][test] < _ninety(misses[1][others])
+        held[fold == number] = misses[1][fold == number] < _ninety(misses[1][fold != number])
     physics, registered, mapped = (_scattered(np.hypot(*(one - places).T), known) for one in (found, after, whole))
-    test = order[::folds]
+    test, rest = np.flatnonzero(fold == 0), np.flatnonzero(fold)
     curve = list[tuple[int, float]]()
-    for count in (count for count in _COUNTS if count < 0.7 * (len(order) - len(test))):
-        train = np.random.default_rng(1).permutation(np.setdiff1d(order, test))[:count]
-        fewer = learn(found[train], changes[train], places[train])
-        reached, _ = fewer.registered(found[test], changes[test])
-        curve.append((count, float(np.linalg.norm(reached - places[test], axis=1).mean())))
+    for fewer in (fewer for fewer in _COUNTS if fewer < 0.7 * len(rest)):
+        train = np.random.default_rng(1).permutation(rest)[:fewer]
+        reached, _ = learn(found[train], changes[train], places[train]).registered(found[test], changes[test])
+        curve.append((fewer, float(np.linalg.norm(reached - places[test], axis=1).mean())))
     progress(1.0)
-    return PositionReport(final, physics, registered, mapped, float(held.mean()), tuple(curve))
+    far = int((np.linalg.norm(after - places, axis=1) > _FAR * size * final.registration.scale).sum())
+    return PositionReport(final, physics, registered, mapped, float(held.mean()), count, far, tuple(curve))
+
+
+def same_places(places: Floats) -> Ints:
+    """The number of the place (n,) of each press at `places` (n, 2), in the order in which they are first pressed.
+
+    Those as close as a robot repeats are the same.
+    """
+    if not len(places):
+        return np.empty(0, int)
+    apart = max(_SAME * float(np.ptp(places, axis=0).max()), 1e-12)
+    some, number = np.unique(np.round(places / (apart / 4)), axis=0, return_inverse=True)
+    one, other = KDTree(some).query_pairs(4.0, output_type="ndarray").T
+    linked = coo_array((np.ones(len(one)), (one, other)), (len(some), len(some)))
+    _, first, number = np.unique(
+        connected_components(linked, directed=False)[1][number.ravel()], return_index=True, return_inverse=True
+    )
+    return np.asarray(np.argsort(np.argsort(first))[number], int)
 
 
 def similarity(these: Floats, those: Floats) -> Similarity:
@@ -237,7 +285,8 @@ def _learn(
     near, full = regress(found, left, size), regress(at, left, size)
     sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
     known = (features / sizes)[np.random.default_rng(2).permutation(len(features))[:_KNOWN]]
-    quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if len(at) >= _MANY else None
+    many = same_places(places).max() + 1 >= _MANY
+    quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if many else None
     return PositionMap(
         registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, np.zeros(2), 0.0, networks
     )

@@ -101,7 +101,7 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
 
 
 def _sizes(volts: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.nanmean(volts**2, axis=0)))
+    return np.asarray(np.sqrt(np.ma.masked_invalid(volts**2).mean(axis=0).filled(np.nan)))
 
 
 def _order(n_elec: int, skipped: tuple[int, ...], turning: bool, single: bool, note: str) -> Order:

@@ -1,9 +1,10 @@
 """Press data: the values of many presses of known places, a row for each.
 
 A text table has a header: ``x`` and ``y`` (metres; or ``x_mm``, ``y_mm``), perhaps ``force`` (N), and a column for each
-value of a frame, in the order of the pattern. Rows whose x and y are empty are of the untouched skin. A MATLAB file has
-``voltages`` (n_presses, n_values) and ``positions`` (n_presses, 2) in metres, perhaps ``forces`` (n_presses,), and
-``reference`` of the untouched skin, (n_frames, n_values), or a row for each press, from before it.
+value of a frame, in the order of the pattern. A MATLAB file has ``voltages`` (n_presses, n_values) and ``positions``
+(n_presses, 2) in metres, perhaps ``forces`` (n_presses,), and ``reference`` of the untouched skin, (n_frames,
+n_values), or a row for each press, from before it. Rows without a place (empty, or not a number) are of the untouched
+skin, and so are those whose force is 0 where others have one; unless they have a force or differ as presses do.
 
 The pattern is in the MATLAB file, as EIDORS has it, or in a table beside the text (`ohmskin.importers.table`); without
 one it is adjacent drive, voltages between neighbours in the order of the electrodes' numbers, those of driven ones
@@ -13,13 +14,14 @@ is not recorded); a MATLAB file may have texts ``skin`` and ``values``.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Bools, Floats
 from ohmskin.errors import DataError, shown
 from ohmskin.forward import TransferModel
 from ohmskin.importers.eidors import pattern_of
@@ -43,6 +45,9 @@ _NAMES = {  # of the arrays of a MATLAB file, in small letters, the documented o
 }
 _MOST_QUIET = 40
 _WEAK, _STRONG, _USUAL = 1e-3, 0.3, 0.02  # share of the quiet voltages that differences have: least, most, taken
+_ALIKE = 0.9  # share of the columns that are named alike, from which on others hold no values
+_NAMED = 8  # of them at most
+_AS_PRESSES = 0.3  # share of a usual press's change from which on a row is of one, too
 _UNTOLD = 0.02  # share of a usual change that is taken for noise where nothing tells it
 _MIXED = 0.1  # share of the quiet voltages that is negative on the model, from which all positive ones are rectified
 
@@ -82,21 +87,26 @@ def read_table(
     force = [k for k, column in enumerate(header) if _FORCE.fullmatch(column)]
     aside = [k for k, column in enumerate(header) if column in _ASIDE]
     used = {*(k for k, _ in known.values()), *force[:1], *aside}
-    values = cells[:, [k for k in range(len(header)) if k not in used]]
-    given = np.column_stack([cells[:, known[axis][0]] for axis in "xy"])
-    pressed = np.isfinite(given).all(axis=1)
-    places, notes = _in_metres(given[pressed], known["x"][1])
-    left_out = ", ".join(repr(header[k]) for k in [*aside, *(k for axis, (k, _) in known.items() if axis == "z")])
-    notes += (f"columns {left_out} are left out",) if left_out else ()
-    forces = cells[pressed, force[0]] if force else None
-    found = _recording(values[pressed], places, forces, values[~pressed], pattern, settings, name)
+    columns = [k for k in range(len(header)) if k not in used]
+    kinds = {k: re.sub(r"\d+", "0", header[k]) for k in columns}
+    (usual, count), *_ = Counter(kinds.values()).most_common() or [("", 0)]
+    if count > _ALIKE * len(columns):  # v0, v1, ...: what is named otherwise is no value
+        aside += [k for k in columns if kinds[k] != usual]
+    values = cells[:, [k for k in columns if k not in aside]]
+    places, notes = _in_metres(np.column_stack([cells[:, known[axis][0]] for axis in "xy"]), known["x"][1])
+    left_out = [shown(header[k]) for k in [*aside, *(k for axis, (k, _) in known.items() if axis == "z")]]
+    more = f" and {len(left_out) - _NAMED} more" if len(left_out) > _NAMED else ""
+    notes += (f"columns {', '.join(left_out[:_NAMED])}{more} are left out",) if left_out else ()
+    forces = cells[:, force[0]] if force else None
+    found = _recording(values, places, forces, values[:0], pattern, settings, name)
     return replace(found, notes=(*notes, *found.notes))
 
 
 def _in_metres(places: Floats, unit: str) -> tuple[Floats, tuple[str, ...]]:
     """Places (n, 2) in metres; what is wider than skins are is taken for millimetres where no unit is given."""
-    if not unit and len(places) and max(np.ptp(places, axis=0)) > _WIDEST:
-        wide = f"places span {max(np.ptp(places, axis=0)):g}"
+    known = places[np.isfinite(places).all(axis=1)]
+    if not unit and len(known) and max(np.ptp(known, axis=0)) > _WIDEST:
+        wide = f"places span {max(np.ptp(known, axis=0)):g}"
         return 1e-3 * places, (f"{wide} without a unit: interpreted as millimetres",)
     return _METRES[unit or "m"] * places, ()
 
@@ -113,6 +123,7 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
     places = places if places.shape[1:] in ((2,), (3,)) else places.T
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise DataError(f"{name}: positions have shape {places.shape}; need (n_presses, 2), in metres")
+    square = voltages.shape == (len(places),) * 2
     voltages = voltages if len(voltages) == len(places) else voltages.T
     if len(voltages) != len(places):
         raise DataError(f"{name}: voltages have shape {voltages.shape} for {len(places)} positions; a row for each")
@@ -134,6 +145,7 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
         pattern, _ = pattern_of(dict(variables), driven)
     settings = {key: str(value) for key, value in variables.items() if key in ("skin", "values")}
     places, notes = _in_metres(places[:, :2], "")
+    notes += ("as many values as presses: a row of voltages is interpreted as a press",) if square else ()
     notes += tuple(f"{theirs!r} is interpreted as {ours}" for ours, theirs in named.items() if ours != theirs)
     found = _recording(voltages, places, forces, quiet, pattern, settings, name)
     return replace(found, notes=(*notes, *found.notes))
@@ -151,20 +163,47 @@ def _recording(
     kind, skin = settings.get("values", VALUES[0]), settings.get("skin", "")
     if kind not in VALUES:
         raise DataError(f"{name}: values = {shown(kind)}; choose from {', '.join(VALUES)}")
-    if not len(values):
+    pressed, notes = _pressed(values, places, forces, quiet)
+    if not (pressed & np.isfinite(places).all(axis=1)).any():
         raise DataError(f"{name} has no press with a place; need rows with x and y")
-    notes: tuple[str, ...] = ()
+    values, places, quiet = values[pressed], places[pressed], np.vstack([quiet, values[~pressed]])
+    forces = None if forces is None else forces[pressed]
     if pattern is None:
-        values, quiet, pattern, notes = _adjacent(values, quiet, settings, name)
+        values, quiet, pattern, more = _adjacent(values, quiet, settings, name)
+        notes += more
     if kind == "differences":
         quiet = quiet[:0]
     elif not len(quiet):
-        quiet = np.nanmedian(values, axis=0)[None]
+        quiet = _median(values)[None]
         notes = (*notes, "no frame of the untouched skin: the median over the presses is used")
     notes = notes if skin else (*notes, "the file does not name its skin: name one")
     rest = tuple(pattern.frame(row, name, k) for k, row in enumerate(quiet[:_MOST_QUIET]))
     frames = tuple(pattern.frame(row, name, k) for k, row in enumerate(values))
     return Recording(rest, frames, skin, (*pattern.notes, *notes), None, places, forces, kind)
+
+
+def _pressed(values: Floats, places: Floats, forces: Floats | None, quiet: Floats) -> tuple[Bools, tuple[str, ...]]:
+    """(n,) whether a row of values (n, n_values) is of a press, and notes; places (n, 2) and forces (n,) as given,
+    `quiet` (n_quiet, n_values) what is known of the untouched skin beside them."""
+    placed, notes = np.isfinite(places).all(axis=1), list[str]()
+    forces = np.full(len(values), np.nan) if forces is None else forces
+    resting = (forces == 0) & bool((forces > 0).any())
+    sure = (forces > 0) | (placed & ~resting)
+    if sure.any() and not sure.all():
+        rest = _median(quiet if len(quiet) else values[~sure])
+        change = np.linalg.norm(np.nan_to_num(values - rest), axis=1)
+        sure |= change > _AS_PRESSES * np.median(change[sure])
+    if lost := int((sure & ~placed).sum()):
+        notes.append(f"{lost} rows without a place are presses: by their force, or by how much they differ")
+    if rested := int((~sure & placed).sum()):
+        notes.append(f"{rested} rows with a force of 0 are of the untouched skin")
+    return sure, tuple(notes)
+
+
+def _median(values: Floats) -> Floats:
+    """Of each column (n,) of values; NaN where none is known."""
+    known = np.isfinite(values).any(axis=0)
+    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)
 
 
 def _adjacent(
@@ -184,6 +223,8 @@ def _adjacent(
     kept = from_list(order.quadruples, np.full(len(order.quadruples), current), False)
     n_elec = int(order.quadruples.max()) + 1
     notes = f"no pattern in the file: adjacent drive of {n_elec} electrodes, {order.words}", *([doubt] if doubt else [])
+    if "current" not in settings:
+        notes += ("no current is given: 1 A is assumed",)
     return order.volts(values), order.volts(quiet), kept, notes
 
 
@@ -206,16 +247,19 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
         finite = changes[np.isfinite(changes)]
         share = float(np.sqrt(np.mean(finite**2)) / np.sqrt(np.mean(at_rest**2))) if len(finite) else 0.0
         scale = 1.0 if _WEAK < share < _STRONG or not share else _USUAL / share
-        notes.append("differences alone: the untouched skin is the model's, signs and offsets are not checked")
+        notes.append("differences alone: the untouched skin is the model's, and offsets are not checked")
         if scale != 1:
             notes.append(
                 f"the differences were scaled by {scale:.3g}, as their unit is not volts: strengths are relative"
             )
+        if np.nansum(changes * at_rest) > 0:  # a press conducts, so that the same current takes less power
+            notes.append("their sign is not that of a press: interpreted as the untouched skin less the pressed one")
+            scale = -scale
         quiet = (Frame(pattern, at_rest, frames[0].currents),)
         frames = tuple(replace(frame, voltages=at_rest + scale * frame.voltages) for frame in frames)
         quiet = _with_noise(quiet, frames, notes)
         return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
-    measured = np.nanmean([frame.voltages for frame in quiet], axis=0)
+    measured = np.ma.masked_invalid([frame.voltages for frame in quiet]).mean(axis=0).filled(np.nan)
     known = np.isfinite(measured)
     rectified = bool(
         (measured[known] >= 0).all() and (at_rest[known] < 0).mean() > _MIXED < (at_rest[known] > 0).mean()

@@ -172,6 +172,7 @@ class PositionMap:
 
     def distances(self, changes: Floats) -> Floats:
         """Distances (n,) of changes (n, n_meas), as shares of their size, from those learned from (1)."""
+        changes = np.where(self.taught, changes, 0.0)
         sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
         alike = (self.features(changes) / sizes) @ self.known.T
         return np.asarray(np.sqrt(np.maximum(1 + (self._known_squares - 2 * alike).min(axis=1), 0.0)))
@@ -187,6 +188,7 @@ class PositionMap:
 
     def left(self, changes: Floats) -> tuple[Floats, Floats]:
         """Variance (n,) of what features leave of a channel's change (1), and squared sizes (n,) of all changes (1)."""
+        changes = np.where(self.taught, changes, 0.0)
         squares = (changes**2).sum(axis=1)
         rest = squares - (self.features(changes) ** 2).sum(axis=1)
         return np.maximum(rest, 0.0) / max(int(self.taught.sum()) - len(self.basis), 1), np.maximum(squares, 1e-300)
