@@ -252,3 +252,19 @@ def test_mistakes_are_told_before_anything_is_measured(
     out = Path(settings.pop("out", "mine.toml"))
     with pytest.raises(OhmskinError, match=words):
         calibrate(output=out, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"force": False, "weights": (100.0, 200.0)}, "--weights has no effect where --no-force is given"),
+        ({"force": False, "force_from": "zenoh"}, "--force-from has no effect where --no-force is given"),
+        ({"presses": Path("x.csv"), "places": 3}, "--places has no effect where --presses is given"),
+        ({"force_from": "zenoh", "presses": Path("x.csv")}, "--presses has no effect where --force-from is given"),
+        ({"samples": 20}, "--samples has no effect where forces come from weights"),
+        ({"force_topic": "/other"}, "--force-topic has no effect where forces come from weights"),
+    ],
+)
+def test_an_option_that_would_be_ignored_is_refused(options: dict[str, object], says: str) -> None:
+    with pytest.raises(OhmskinError, match=f"^{says}; leave it out$"):
+        calibrate(**options)  # type: ignore[arg-type]

@@ -189,8 +189,6 @@ def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_use
         "replay:b.mcap",
         "--force-from",
         "forces.csv",
-        "--samples",
-        "5",
         "--output",
         "b.toml",
     ]
@@ -198,6 +196,17 @@ def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_use
     assert done.returncode == 0, done.stderr
     found = Skin.load(tmp_path / "b.toml").calibration
     assert found.layer_conductance == pytest.approx(PAPER.contact_layer.conductance, rel=0.25)
+    assert (found.mode, found.made_for, bool(found.date)) == ("16I", WRONG.digest, True)  # so that no other skin has it
+    for lines, says in (
+        (["1,2", "0.5,2", "2,2"], "row 2 is at 0.5 s, not after the row before; sort the rows"),
+        (["5000,2", "6000,2"], "has forces from 5000 to 6000 s"),
+    ):
+        (tmp_path / "forces.csv").write_text("\n".join(["time_s,force_N", *lines]))
+        done = ohmskin(*words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert says in done.stderr
+    done = ohmskin(*words, "--samples", "5", cwd=tmp_path)
+    assert "--samples has no effect where" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,16 @@ def test_the_twin_in_order_is_in_order() -> None:
     assert found.contradiction < 1e-3
 
 
+@pytest.mark.parametrize("name", ["sleeve", "dome"])
+def test_another_skin_is_not_in_order(name: str) -> None:
+    """Its sheet had a negative conductivity, and all 16 electrodes were in order."""
+    other = Skin.load(name)
+    device = VirtualSkin(other)
+    found = diagnose(PAPER, mean_frame([device.scan(terminal_pattern(16)) for _ in range(4)]))
+    assert found.findings
+    assert found.conductivity > 0 or "is it the skin described" in str(found.findings[-1])
+
+
 def test_an_open_electrode_and_a_short_are_named_and_nothing_else() -> None:
     assert said("open 3", "short 7 8") == ["electrode 3 is open", "electrodes 7 and 8 are shorted together"]
 

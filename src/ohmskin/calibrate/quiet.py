@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -60,16 +59,13 @@ def calibrate_quiet(
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
     noise = measure_noise(frames, list(range(n_elec)), skin)
     found = Calibration(
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        version=version,
-        made_for=skin.digest,
         conductivity=diagnosis.conductivity,
         contact_resistance=beyond if told else 0.0,
         misfit=diagnosis.misfit,
         noise=noise.typical,
         drift=_drift(frames),
         pair_resistances=_rounded(diagnosis.pair_resistances),
-    )
+    ).made_now(skin.digest, version)
     try:
         skin, fit = self_calibrated(replace(skin, calibration=found), mean, noise.typical / np.sqrt(scans))
     except DataError as error:

@@ -115,6 +115,9 @@ def diagnose(skin: Skin, frame: Frame) -> WiringDiagnosis:
     modelled, series = nothing.copy(), nowhere.copy()
     modelled[usable], series[alive] = fit.predicted, fit.series
     conductivity = skin.sheet.conductivity / fit.scale
+    if not conductivity > 0:
+        words = "no sheet of the described shape conducts like this: is it the skin described, with its own electrodes?"
+        findings = (*findings, WiringFinding("contradicts", (), words))
     return WiringDiagnosis(findings, measured, modelled, conductivity, series, fit.misfit, contradiction)
 
 

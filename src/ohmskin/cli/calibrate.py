@@ -32,6 +32,8 @@ from ohmskin.skin import Calibration, Press, Skin
 
 _TIP = 8e-3  # m, radius of the virtual finger
 _IDLE = 30_000  # cycles without a steady press, some minutes, after which we give up
+_WEIGHTS, _PLACES = (100.0, 200.0, 400.0, 700.0, 1000.0), 5  # g, unless given
+_TOPIC, _SAMPLES = "/wrench", 10  # likewise
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
 
@@ -42,12 +44,12 @@ def calibrate(
     output: Path | None = None,
     picture: Path | None = None,
     mode: str = "",
-    weights: Numbers = (100.0, 200.0, 400.0, 700.0, 1000.0),
-    places: int = 5,
+    weights: Numbers = _WEIGHTS,
+    places: int = _PLACES,
     presses: Path | None = None,
     force_from: str = "",
-    force_topic: str = "/wrench",
-    samples: int = 10,
+    force_topic: str = _TOPIC,
+    samples: int = _SAMPLES,
     force: bool = True,
 ) -> None:
     """Calibrate a skin and write its calibrated description. A virtual skin is pressed by the program.
@@ -74,6 +76,19 @@ def calibrate(
         check_picture(picture)
     if not 2 <= samples <= 1000:
         raise OhmskinError(f"--samples is {samples}; choose 2 to 1000")
+    source = "--no-force" if not force else "--force-from" if force_from else "--presses" if presses else "--weights"
+    for name, given, needed in (
+        ("--force-from", force_from, "--force-from"),
+        ("--force-topic", force_topic != _TOPIC, "--force-from"),
+        ("--samples", samples != _SAMPLES, "--force-from"),
+        ("--samples", samples != _SAMPLES and device.startswith("replay:"), "a device"),
+        ("--presses", presses, "--presses"),
+        ("--weights", tuple(weights) != _WEIGHTS, "--weights"),
+        ("--places", places != _PLACES, "--weights"),
+    ):
+        if given and source != needed:
+            instead = "forces come from weights" if source == "--weights" else f"{source} is given"
+            raise OhmskinError(f"{name} has no effect where {instead}; leave it out")
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin)
     path = output or Path(f"{description.name}-calibrated.toml")
@@ -83,8 +98,8 @@ def calibrate(
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
         if device.startswith("replay:"):
-            calibrated, known = description, _replayed(device.removeprefix("replay:"), force_from, sampler, mode, skin)
-            found = description.calibration
+            known, mode = _replayed(device.removeprefix("replay:"), force_from, sampler, mode, skin)
+            calibrated, found = description, description.calibration.made_now(description.digest, ohmskin.__version__)
         else:
             description = replace(description, calibration=Calibration())
             plan = () if force_from or not force else _plan(description, presses, weights, places)
@@ -140,21 +155,29 @@ def _plan(skin: Skin, table: Path | None, weights: Sequence[float], places: int)
     return tuple(steps)
 
 
-def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin: str) -> SkinModel:
-    """Samples of a recording, with the forces of a table; what was known of its quiet skin."""
+def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin: str) -> tuple[SkinModel, str]:
+    """Samples of a recording, with the forces of a table; what was known of its quiet skin, and its mode."""
     if not force_from.endswith(".csv"):
         raise OhmskinError("a recording has no forces; give them with --force-from FILE.csv (time_s, force_N)")
     times, forces = read_table(Path(force_from), ("time_s", "force_N")).T
-    known = None
+    if (fallen := np.flatnonzero(np.diff(times) <= 0)).size:
+        row = int(fallen[0]) + 2
+        raise OhmskinError(
+            f"{force_from}: row {row} is at {times[row - 1]:g} s, not after the row before; sort the rows"
+        )
+    known, last = None, 0.0
     for cycle in watched(reimage(file, mode=mode, skin=skin)):
-        known = cycle.known
+        known, mode, last = cycle.known, cycle.touch.mode.name, cycle.time
         scans = tuple(map(known.difference, cycle.touch.percept.frames))
         beside = cycle.touch.percept.frames[-1].auxiliary
         force = abs(float(np.interp(cycle.time, times, forces, left=np.nan, right=np.nan)))
         sampler.add(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
     if known is None:
         raise OhmskinError(f"{file} has no frame after its calibration")
-    return known
+    if times[0] > last or times[-1] < 0:
+        span = f"{force_from} has forces from {times[0]:g} to {times[-1]:g} s, {file} frames from 0 to {last:g} s"
+        raise OhmskinError(f"{span} after its calibration; no force belongs to a frame")
+    return known, mode
 
 
 def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> None:

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -15,6 +14,7 @@ from ohmskin.calibrate.positions import learn_positions, read_places
 from ohmskin.cli.options import SkinName, check_picture, check_writable, write
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
+from ohmskin.inverse import match_model
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Skin, shipped_skins
 
@@ -54,11 +54,12 @@ def learn(
     if not recording.frames:
         raise DataError(f"{file} has frames of the untouched skin only")
     recording.frames[0].pattern.check(len(description.electrodes))
-    recording = resolved(recording, description.transfer_model())
-    for line in recording.notes:
+    recorded, model = recording.values, description.transfer_model()
+    recording = resolved(recording, model)
+    doubts = [] if recorded == "differences" else match_model(model, recording.quiet[0]).report()
+    for line in (*recording.notes, *doubts):
         print(f"# {line}", file=sys.stderr)
-    when = datetime.now(UTC).isoformat(timespec="seconds")
-    found = replace(description.calibration, date=when, version=ohmskin.__version__, made_for=description.digest)
+    found = description.calibration.made_now(description.digest, ohmskin.__version__)
     judged = report = None
     with threadpool_limits(1, "blas"), Progress(console=Console(stderr=True), transient=True) as shown:
         if channels:
@@ -70,7 +71,7 @@ def learn(
         if positions and recording.positions is not None:
             known = SkinModel(
                 replace(description, calibration=replace(found, position_map="")),
-                description.transfer_model(),
+                model,
                 recording.quiet,
             )
             task = shown.add_task("reading presses", total=1.0)

@@ -23,6 +23,7 @@ from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, default_mode
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
+_LIKELY = 0.5  # confidence of a contact from which on it may have been on the skin while that was to be quiet
 _ROOM = ("max_injections", "max_measurements")  # what sensors rely on
 
 
@@ -103,6 +104,7 @@ class Engine(Closing):
             PatternError: If the device cannot drive the mode.
         """
         (before, message), self.state = (self.state, self.message), State.CALIBRATING
+        felt = self.known and any(one.confidence > _LIKELY for one in self._sensed.belief.contacts)
 
         def compiles(sentence: str) -> None:
             self._notices.message = sentence
@@ -124,7 +126,7 @@ class Engine(Closing):
             self.state, self._notices.message = before, message
             raise
         self.known = known
-        self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "")
+        self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "", bool(felt and quality))
         self.forget()
         self.state = State.RUNNING
         progress(1.0)

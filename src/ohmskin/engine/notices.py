@@ -8,6 +8,8 @@ from ohmskin.skin import Mode
 
 SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
 
+_FELT = "a contact was felt before the quiet skin was measured: if something touched it, lift that and calibrate again"
+
 
 class Notices:
     """Reports messages, and holds the current one.
@@ -31,12 +33,13 @@ class Notices:
             self._report(message)
         self.message = message
 
-    def calibrated(self, notes: Sequence[str], standing: str) -> None:
-        """Report the outcome of a calibration: what was done, and the faults that remain."""
-        for sentence in [*notes, *([standing] if standing else [])]:
+    def calibrated(self, notes: Sequence[str], standing: str, felt: bool) -> None:
+        """Report the outcome of a calibration: what was done, the faults that remain, and whether a contact was `felt`
+        just before, which may have been there."""
+        for sentence in [*notes, *([standing] if standing else []), *([_FELT] if felt else [])]:
             self._report(sentence)
         self._faults = standing
-        self.message = self._standing
+        self.message = _FELT if felt else self._standing
 
     def awaited(self, what: str, then: str = "") -> None:
         """Report what is waited for, which holds until it is empty, `then` with what comes of it."""

@@ -1,6 +1,7 @@
 """What was measured of one particular skin, kept in its description: the table ``[calibration]``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 
 import numpy as np
@@ -101,6 +102,11 @@ class Calibration:
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
+
+    def made_now(self, digest: str, version: str) -> "Calibration":
+        """The same, as of now, for the skin with this digest; `version` is that of ohmskin."""
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        return replace(self, date=now, version=version, made_for=digest)
 
     @property
     def tells_force(self) -> bool:

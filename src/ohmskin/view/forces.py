@@ -1,7 +1,6 @@
 """The guided calibration of newtons: presses of known force on a live skin, saved with its description."""
 
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import ohmskin
 from ohmskin.calibrate import ForceSampler, fit_newtons
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import DataError
-from ohmskin.skin import Calibration
 
 _SETTLE, _CYCLES = 2, 6  # of each press; the guide holds it for 0.7 s, and slow machines make some 13 frames a second
 _MOST = 100  # presses
@@ -56,8 +54,7 @@ class GuidedForces:
             raise DataError("the skin is not calibrated; measure the quiet skin first")
         before = skin.calibration
         if not before.date:
-            today = datetime.now(UTC).isoformat(timespec="seconds")
-            before = Calibration(date=today, version=ohmskin.__version__, made_for=skin.digest)
+            before = before.made_now(skin.digest, ohmskin.__version__)
         found, _, words = fit_newtons(replace(before, mode=self._engine.mode.name), self._presses, known)
         names = (f"{skin.name}-calibrated{f'-{k}' if k > 1 else ''}.toml" for k in count(1))
         path = next(path for name in names if not (path := folder / name).exists())
