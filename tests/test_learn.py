@@ -1,5 +1,6 @@
 """Presses of known places teach where contacts really are; press data are read whatever they are values of."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -291,6 +292,27 @@ def test_what_press_data_leave_out_costs_little(seed: int) -> None:
         seen(given.frames, [middle]),
     ):
         assert other < 1.15 * usual
+
+
+@pytest.mark.parametrize("values", ["differences", "magnitudes"])
+def test_press_data_replay_as_the_voltages_that_they_mean(values: str, tmp_path: Path) -> None:
+    given = flawed_skin(35, 40)
+    frames = [[frame.voltages for frame in some] for some in (given.quiet, given.frames)]
+    rest = np.mean(frames[0], axis=0)
+    rows = [[np.abs(one) if values == "magnitudes" else one - rest for one in some] for some in frames]
+    held = {"stim_meas_list": given.pattern.quadruples + 1, "positions": np.repeat(given.positions, 8, axis=0)}
+    savemat(
+        tmp_path / "a.mat",
+        held | {"voltages": np.repeat(rows[1], 8, axis=0), "values": values, "skin": "paper-rim16"}
+        | ({"reference": rows[0]} if values == "magnitudes" else {}),
+    )  # fmt: skip
+    done = ohmskin("replay", "a.mat", "--json", "--speed", "inf", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "one press a frame" in done.stderr
+    touched = [bool(json.loads(line)["contacts"]) for line in done.stdout.splitlines() if '"contacts"' in line]
+    assert np.mean(touched) > 0.5
+    done = ohmskin("image", "a.mat", "--frame", "3", cwd=tmp_path)
+    assert ("from repeats" in done.stderr) == (values == "magnitudes")  # noise that is assumed is not told as measured
 
 
 def test_rows_without_a_place_and_with_no_force_are_what_they_look_like(tmp_path: Path) -> None:

@@ -80,14 +80,16 @@ def image(
     description = Skin.load(skin or recording.skin)
     recording.frames[frame].pattern.check(len(description.electrodes))
     model = description.transfer_model()
-    if recording.positions is not None:  # press data
+    repeated = recording.values != "differences" and len(recording.quiet) > 1
+    if told := recording.positions is not None:  # press data
         recording = resolved(recording, model)
     shown = recording.frames[frame]
     quality = assess(recording.quiet, [shown])
     known = SkinModel(description, model, recording.quiet, quality)
     missing = left_out(known.baseline.difference(quality.clean(shown)))
     match = match_model(model, quality.clean(recording.quiet[0]))
-    for line in [*recording.notes, *quality.report(), *([missing] if missing else []), *match.report()]:
+    checked = quality.report() if repeated or not told else quality.findings  # of data, not of what is assumed
+    for line in [*recording.notes, *checked, *([missing] if missing else []), *match.report()]:
         print(f"# {line}", file=sys.stderr)
     percept = perceive(known, shown, recorded_mode(description).using(estimator, prior, rule))
     if percept.belief.unexplained > _DOUBTFUL:

@@ -189,8 +189,11 @@ def open_skin(
 
     opened = connect(device)
     try:
-        if isinstance(opened, ReplayDevice) and (skin or opened.description):
-            return opened, recorded_skin(opened, skin)
+        if isinstance(opened, ReplayDevice):
+            description = recorded_skin(opened, skin)
+            for note in opened.recording.notes if opened.recording.positions is not None else ():
+                print(f"# {note}", file=sys.stderr)
+            return opened, description
         return opened, Skin.load(skin or opened.default_skin)
     except BaseException:
         opened.close()

@@ -19,17 +19,17 @@ class SteadyFrames:
     """Frames of others, one after the other at a steady rate."""
 
     def __init__(self, frames: Sequence[Frame], rate: float) -> None:
-        self._frames = frames
+        self.frames = frames
         self.times: Floats = np.arange(len(frames)) / rate
         self.roles = np.full(len(frames), Role.BASE, np.int64)
         self.mode_of = self.pattern_numbers = np.zeros(len(frames), np.int64)
         self.modes = ["recorded"]
 
     def frame(self, index: int) -> Frame:
-        return self._frames[index]
+        return self.frames[index]
 
     def pattern(self, index: int) -> DrivePattern:
-        return self._frames[index].pattern
+        return self.frames[index].pattern
 
 
 RecordedFrames = RecordingReader | SteadyFrames  # frames in order, with what is known of each

@@ -13,7 +13,8 @@ from ohmskin.device.driver import Device
 from ohmskin.device.recorded import RecordedFrames, RecordedQuietFrames, SteadyFrames
 from ohmskin.drive import Drive
 from ohmskin.errors import DataError, DeviceError, PatternError
-from ohmskin.importers import read_recording
+from ohmskin.forward import TransferModel
+from ohmskin.importers import read_recording, resolved
 from ohmskin.mcap import Role
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.sensing import modes
@@ -89,6 +90,15 @@ class ReplayDevice(Device):
         except BaseException:
             self._close()
             raise
+
+    def resolve(self, model: TransferModel) -> None:
+        """Take what others recorded as voltages, as `resolved` does with the `model` of the untouched skin."""
+        found = resolved(self.recording, model)
+        one = "one press a frame: contacts are told where several frames show them; `ohmskin image --frame N` shows one"
+        self.recording = replace(found, notes=(*found.notes, one))
+        self.reference = tuple(self.recording.quiet)
+        assert isinstance(self._reel, SteadyFrames)
+        self._reel.frames = self.recording.frames
 
     @property
     def description(self) -> str:
@@ -247,6 +257,8 @@ class ReplayDevice(Device):
 def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
     """The `skin` named, or that of the recording which a `device` replays, with the modes that were recorded.
 
+    Press data are voltages from then on, see `ReplayDevice.resolve`.
+
     Raises:
         SkinError: If it is not a valid description.
         DataError: If none is named and the recording has none.
@@ -258,6 +270,8 @@ def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
     named = f"the skin in {device.url}"
     found = Skin.parse(device.description, named) if recorded else Skin.load(skin or device.default_skin)
     told = device.recording.reader.recorded_modes if device.recording.reader else {}
+    if device.recording.positions is not None:  # press data
+        device.resolve(found.transfer_model())
     known, own = modes(found), {mode.name: mode for mode in found.modes}
     for name, entries in told.items():
         mode = Mode.of(name, {key: value for key, value in entries.items() if key != "adjustable"})
