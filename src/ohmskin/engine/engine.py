@@ -104,7 +104,7 @@ class Engine(Closing):
             PatternError: If the device cannot drive the mode.
         """
         (before, message), self.state = (self.state, self.message), State.CALIBRATING
-        felt = self.known and any(one.confidence > _LIKELY for one in self._sensed.belief.contacts)
+        detected = self.known and any(one.confidence > _LIKELY for one in self._sensed.belief.contacts)
 
         def compiles(sentence: str) -> None:
             self._notices.message = sentence
@@ -126,7 +126,7 @@ class Engine(Closing):
             self.state, self._notices.message = before, message
             raise
         self.known = known
-        self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "", bool(felt and quality))
+        self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "", bool(detected and quality))
         self.forget()
         self.state = State.RUNNING
         progress(1.0)

@@ -8,7 +8,9 @@ from ohmskin.skin import Mode
 
 SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
 
-_FELT = "a contact was felt before the quiet skin was measured: if something touched it, lift that and calibrate again"
+_DETECTED = (
+    "a contact was detected before the calibration: if something touched the skin then, lift it and calibrate again"
+)
 
 
 class Notices:
@@ -33,13 +35,13 @@ class Notices:
             self._report(message)
         self.message = message
 
-    def calibrated(self, notes: Sequence[str], standing: str, felt: bool) -> None:
-        """Report the outcome of a calibration: what was done, the faults that remain, and whether a contact was `felt`
-        just before, which may have been there."""
-        for sentence in [*notes, *([standing] if standing else []), *([_FELT] if felt else [])]:
+    def calibrated(self, notes: Sequence[str], standing: str, detected: bool) -> None:
+        """Report the outcome of a calibration: what was done, the faults that remain, and whether a contact
+        was `detected` just before, which may have been there."""
+        for sentence in [*notes, *([standing] if standing else []), *([_DETECTED] if detected else [])]:
             self._report(sentence)
         self._faults = standing
-        self.message = _FELT if felt else self._standing
+        self.message = _DETECTED if detected else self._standing
 
     def awaited(self, what: str, then: str = "") -> None:
         """Report what is waited for, which holds until it is empty, `then` with what comes of it."""
