@@ -128,14 +128,18 @@ def test_faults_by_chance_are_all_found_and_none_is_invented(name: str) -> None:
 def test_a_sheet_of_uneven_conductivity_does_not_look_like_faults(monkeypatch: pytest.MonkeyPatch) -> None:
     from ohmskin.forward import TransferModel
     from ohmskin.skin import twin
+    from ohmskin.skin import virtual as virtual_skin
 
     def uneven(mesh, electrodes, sigma):  # type: ignore[no-untyped-def]
         x, y = mesh.centroids.T / 0.2
         waves = 0.3 * np.sin(2 * np.pi * x) * np.cos(np.pi * y) + 0.2 * np.cos(3 * np.pi * (x + y))
         return TransferModel(mesh, electrodes, sigma * np.exp(waves))  # 0.6 to 1.6 times
 
+    even = VirtualSkin(PAPER)
     monkeypatch.setattr(twin, "TransferModel", uneven)
+    monkeypatch.setattr(virtual_skin, "_sheet", virtual_skin._sheet.__wrapped__)  # none that was even, nor for others
     in_order.cache_clear()
+    assert not np.allclose(in_order(PAPER).transfer_resistance, even.transfer_resistance, rtol=0.01)
     assert said() == []
     assert said("open 3", "short 7 8") == ["electrode 3 is open", "electrodes 7 and 8 are shorted together"]
     assert said("swap 5 13") == ["electrodes 5 and 13 are swapped"]
