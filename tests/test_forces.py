@@ -124,6 +124,19 @@ def test_forces_of_two_presses_are_told_apart_and_follow(engine: Engine) -> None
     assert touch.contacts[0].force == pytest.approx(risen.force(FOAM), rel=0.3)
 
 
+@pytest.mark.parametrize("place", [(0.15, 0.1), (0.14, 0.06), (0.06, 0.13)])
+def test_forces_beside_a_finger_are_right_within_what_they_say(engine: Engine, place: tuple[float, float]) -> None:
+    """Of 5.1 N 2.1 +- 0.35 N had been told: what fingers 50 mm apart do to each other was taken for another size."""
+    first, second = Press((0.1, 0.1), 8e-3, 20e3), Press(place, 8e-3, 20e3)
+    off = []
+    for touch in pressed(engine, first, second, frames=80)[20:]:
+        assert len(touch.contacts) == 2
+        told = [(one.force, one.force_std) for one in touch.contacts]
+        off += [(force - first.force(FOAM)) / std for force, std in told if force is not None and std is not None]
+    assert len(off) > 80
+    assert np.quantile(np.abs(off), 0.95) < 2
+
+
 def test_no_force_stays_where_presses_that_were_known_cannot_be_evaluated_together(engine: Engine) -> None:
     """Too wide a press was taken as it was beside a second one; the last force was told from then on, unchanged."""
     engine.forget()

@@ -89,10 +89,13 @@ class FloatingPatches:
         """
         return self.linearised(conductance)[0]
 
-    def linearised(self, conductance: ArrayLike) -> tuple[Floats, Floats]:
+    def linearised(self, conductance: ArrayLike, groups: Ints | None = None) -> tuple[Floats, Floats]:
         """The transfer resistances, and the voltage over each of n contacts that touch.
 
-        Argument and errors as of `transfer_resistance`.
+        Args:
+            conductance: As of `transfer_resistance`.
+            groups: (n_points,) of contacts that are solved for together; what each group does to others is taken to
+                first order, and no part of the voltages. None: all together.
 
         Returns:
             (n_elec, n_elec) in ohms; (n, n_elec) for 1 A into each electrode (ohm). With u_i and u_j of these, the
@@ -109,6 +112,24 @@ class FloatingPatches:
         touching = np.flatnonzero(joint)
         if not len(touching):
             return self.model.transfer_resistance, np.empty((0, len(self.model.electrodes)))
+        voltages, drop = np.empty((len(touching), self._caused.shape[1])), np.zeros((self._caused.shape[1],) * 2)
+        group, flows = np.zeros(len(touching), int) if groups is None else groups[touching], list[tuple[Ints, Floats]]()
+        for one in np.unique(group):
+            own = touching[group == one]
+            currents = self._currents(joint, own)
+            voltages[group == one] = currents / joint[own, None]
+            drop += self._caused[own].T @ currents
+            nodes, at = np.unique(self._corners[own], return_inverse=True)
+            into = np.zeros((len(nodes), currents.shape[1]))
+            np.add.at(into, at.reshape(len(own), -1), self._weights[own][:, :, None] * currents[:, None])
+            for others, flow in flows:
+                drop -= 2 * into.T @ self.update.green_of(nodes)[np.ix_(nodes, others)] @ flow
+            flows.append((nodes, into))
+        return np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2), voltages
+
+    def _currents(self, joint: Floats, touching: Ints) -> Floats:
+        """Currents (n, n_elec) into the contacts that touch, of `joint` conductances (n_points,), for 1 A into each
+        electrode."""
         numbers, owner = np.unique(self.patches[touching], return_inverse=True)
         nodes, at = np.unique(self._corners[touching], return_inverse=True)
         green = _interpolated(self.update.green_among(nodes), at.reshape(len(touching), -1), self._weights[touching])
@@ -124,10 +145,7 @@ class FloatingPatches:
             raise ModelError("the mesh is too coarse for patches so hard pressed; use a finer one") from None
         solved = cho_solve(factor, np.hstack([caused, member]))
         direct, floating = np.split(solved, [caused.shape[1]], axis=1)
-        currents = direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct)
-        drop = caused.T @ currents
-        after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
-        return after, currents / joint[touching, None]
+        return np.asarray(direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct))
 
     def prepare(self, patch: int) -> None:
         """Compute what a press on a patch needs, so that the first one there takes no longer than others.

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import Contact
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.kernels import damped_step
@@ -178,30 +178,27 @@ class PressFitter:
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
         """Change of two-terminal resistances (n_pairs,) due to presses, `params` (4 n,), and its slopes (n_pairs, 4 n).
 
-        Presses far from each other are computed separately and added, with an error of about 2 %: time grows with the
-        cube of the size.
+        Of presses far from each other what they do to each other is taken to first order: time grows with the cube of
+        the size.
         """
         presses = self.presses(params)
-        groups, parts = self.groups(presses), list[tuple[Floats, Floats]]()
-        for group in groups:
-            caused, slopes = self.sheet.linearised([presses[k] for k in group])
-            parts.append((caused, slopes[:, : _PER_PRESS * len(group)]))
-        back = np.argsort(np.concatenate(groups))
-        slopes = np.hstack([own for _, own in parts]).reshape(-1, len(presses), _PER_PRESS)[:, back]
-        return np.sum([own for own, _ in parts], axis=0), slopes.reshape(len(slopes), -1)
+        caused, slopes = self.sheet.linearised(presses, self.groups(presses))
+        return caused, slopes[:, : len(params)]
 
-    def groups(self, presses: Sequence[Press]) -> list[list[int]]:
-        """Numbers of presses that are near each other, by single linkage."""
+    def groups(self, presses: Sequence[Press]) -> Ints:
+        """The group (n,) of each press: those near each other, by single linkage, are in one."""
         places = np.array([press.position for press in presses])
         offsets = self.known.fitter.table.offsets
         near = [np.hypot(*offsets(np.tile(place, (len(places), 1)), places).T) < _NEAR for place in places]
-        labels = connected_components(np.array(near), directed=False)[1]
-        return [np.flatnonzero(labels == label).tolist() for label in range(labels.max() + 1)]
+        return np.asarray(connected_components(np.array(near), directed=False)[1])
 
     def most_contacts(self, presses: Sequence[Press]) -> int:
         """Most contacts of patches that one of the `groups` of `presses` may close; time grows with its cube."""
         groups = self.groups(presses)
-        return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
+        return max(
+            self.sheet.contacts_under(press for press, one in zip(presses, groups, strict=True) if one == group)
+            for group in np.unique(groups)
+        )
 
     def cost(self, data: NormalEquations, params: Floats, caused: Floats, slopes: Floats) -> Cost:
         """Cost, curvature, downhill gradient in `data`; `params` as for `caused`, `caused` and `slopes` as of it."""

@@ -188,16 +188,21 @@ class PressedSheet:
         other.skin = replace(self.skin, contact_layer=layer)
         return other
 
-    def linearised(self, presses: Sequence[Press]) -> tuple[Floats, Floats]:
+    def linearised(self, presses: Sequence[Press], groups: Ints | None = None) -> tuple[Floats, Floats]:
         """Changes of two-terminal resistances (n_pairs,) due to presses (ohm), and their slopes (n_pairs, 4 n + 2).
 
         Slopes are by x, y (per m), the logarithms of radius and pressure of each press, then by the logarithm of the
         layer's conductance and by its exponent.
+
+        Args:
+            presses: The presses (n,).
+            groups: (n,) numbers of groups that are far from each other, so that what each does to others is small:
+                it is in the changes, to first order, and not in the slopes. None: all are solved for together.
         """
         layer = self.skin.contact_layer
         spread = max(layer.foam_spread, _LEAST_SPREAD)
         near = self._near_any((press.position, press.radius + spread) for press in presses)
-        pressure = np.zeros((len(near), self._places.shape[1]))
+        pressure, parts = np.zeros((len(near), self._places.shape[1])), np.zeros((len(presses), len(near)))
         slopes = np.zeros((4 * len(presses), *pressure.shape))
         for k, press in enumerate(presses):
             away = self._away(self._places[near], press)
@@ -205,6 +210,7 @@ class PressedSheet:
             own = press.pressure_at(distance, spread)
             rising = np.where((own > 0) & (own < press.pressure), press.pressure / spread, 0.0)
             pressure += own
+            parts[k] = own.sum(axis=1)
             here = float(self.skin.chart.scale([press.position])[0])  # metres on the skin for one on the map
             for axis in range(2):
                 slopes[4 * k + axis] = here * rising * away[..., axis] / np.maximum(distance, 1e-12)
@@ -217,7 +223,9 @@ class PressedSheet:
         changes = [*(by_pressure * slope for slope in slopes), per_area, per_area * logarithm]
         conductance = np.zeros(len(self._places))
         conductance[touching], rises = self._joined(per_area, touching)
-        after, volts = self._patches.linearised(conductance)
+        apart: Ints = np.zeros(len(self._places), int)
+        apart[near] = 0 if groups is None or not len(near) else groups[parts.argmax(axis=0)]
+        after, volts = self._patches.linearised(conductance, apart)
         pairs = self._patches.model.pairs
         i, j = pairs.ends.T
         seen = (volts[:, i] - volts[:, j]) ** 2
