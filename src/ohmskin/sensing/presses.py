@@ -186,7 +186,7 @@ class PressFitter:
         return caused, slopes[:, : len(params)]
 
     def groups(self, presses: Sequence[Press]) -> Ints:
-        """The group (n,) of each press: those near each other, by single linkage, are in one."""
+        """The group (n,) of each of the `presses`: those near each other, by single linkage, are in one."""
         places = np.array([press.position for press in presses])
         offsets = self.known.fitter.table.offsets
         near = [np.hypot(*offsets(np.tile(place, (len(places), 1)), places).T) < _NEAR for place in places]
