@@ -131,7 +131,8 @@ def judge_channels(
     for number in range(_ROUNDS):
         search.improve(gains=number >= _EVEN)
         progress((number + 1) / _ROUNDS)
-    found = Channels(pattern.quadruples, search.gains, search.errors)
+    gains = np.where(measured.any(axis=0), search.gains, 0.0)  # of what was never measured nothing is known
+    found = Channels(pattern.quadruples, gains, search.errors)
     return ChannelJudgement(pattern, found, table.places[chosen][search.best], search.unexplained, before, skipped)
 
 
