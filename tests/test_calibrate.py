@@ -13,6 +13,7 @@ from direct import DirectDevice
 from ohmskin.calibrate import PressGuide, PressSample, calibrate_quiet, fit_force, press_plan
 from ohmskin.cli.calibrate import calibrate
 from ohmskin.contacts import Contact
+from ohmskin.engine import Engine
 from ohmskin.errors import DataError, DeviceError, OhmskinError, SkinError
 from ohmskin.scan import Frame, n_pairs
 from ohmskin.skin import Calibration, Fault, Press, Skin, VirtualSkin
@@ -84,6 +85,22 @@ def test_a_skin_that_is_not_in_order_is_not_calibrated() -> None:
         calibrate_quiet(device, PAPER, scans=3)
     with pytest.raises(DeviceError, match="16 electrodes, skin 'ktc2023' has 32"):
         calibrate_quiet(DirectDevice(VirtualSkin(PAPER, 1)), Skin.load("ktc2023"))
+
+
+def test_another_skin_on_the_line_is_told_and_a_warmer_one_with_worse_contacts_is_not(quiet: Calibration) -> None:
+    calibrated = replace(PAPER, calibration=quiet)
+    warm = replace(
+        PAPER,
+        sheet=replace(PAPER.sheet, conductivity=1.3 * PAPER.sheet.conductivity),
+        electrode=replace(PAPER.electrode, contact_resistivity=5 * PAPER.electrode.contact_resistivity),
+    )
+    uneven = replace(PAPER, calibration=replace(quiet, log_conductivity=(0.0, 0.05, 0.05, -0.05)))
+    for skin, told in ((PAPER, False), (warm, False), (uneven, True)):
+        for mode in ("16P", "12B"):
+            with Engine(lambda skin=skin: DirectDevice(VirtualSkin(skin, 3)), calibrated, mode) as engine:  # type: ignore[misc]
+                engine.calibrate()
+                assert ("unlike those of the skin that was calibrated" in engine.message) == told
+                assert bool(engine.message) == told
 
 
 def test_the_force_curve_is_monotone_and_returns_what_was_pressed() -> None:

@@ -18,6 +18,7 @@ from ohmskin.errors import DataError, SkinError
 from ohmskin.importers import Recording, read_recording, resolved
 from ohmskin.scan import Frame, opposite
 from ohmskin.sensing import SkinModel, build, recorded_mode
+from ohmskin.sensing.identity import changed_since
 from ohmskin.skin import Skin
 from ohmskin.skin.positions import PositionMap
 
@@ -217,6 +218,9 @@ def test_learn_reads_press_data_writes_a_skin_and_a_picture(tmp_path: Path) -> N
     again = ohmskin("image", str(file), "--skin", str(out), "--frame", "7", "--output", str(tmp_path / "seven.png"))
     x, y = (float(part) for part in again.stdout.split("(")[1].split(")")[0].split(","))
     assert np.hypot(*(1e-3 * np.array([x, y]) - given.positions[7])) < 5e-3
+    for seed, told in ((36, False), (37, True)):  # another skin of the same design
+        known = SkinModel(skin, skin.transfer_model(), flawed_skin(seed, 120).quiet)
+        assert ["unlike those of the skin that was learned" in said for said in changed_since(known)] == [True] * told
 
 
 def test_press_data_of_matlab_with_a_reference_of_each_press_lose_their_drift(tmp_path: Path) -> None:

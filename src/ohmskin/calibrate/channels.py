@@ -76,11 +76,19 @@ class ChannelJudgement:
             )
         return lines
 
-    def put_into(self, calibration: Calibration) -> Calibration:
-        """The same calibration with these channels."""
+    def put_into(self, calibration: Calibration, resistances: Floats | None = None) -> Calibration:
+        """The same calibration with these channels, and their `resistances` (n,) on the untouched skin (ohm), NaN
+        where they were not measured."""
         quadruples = tuple(tuple(row) for row in self.channels.quadruples.tolist())
         gains, errors = (tuple(np.round(one, 5).tolist()) for one in (self.channels.gains, self.channels.errors))
-        return replace(calibration, channels=quadruples, channel_gains=gains, channel_errors=errors)
+        known = np.nan_to_num(np.empty(0) if resistances is None else resistances)
+        return replace(
+            calibration,
+            channels=quadruples,
+            channel_gains=gains,
+            channel_errors=errors,
+            channel_resistances=tuple(float(f"{one:.7g}") for one in known),
+        )
 
 
 def judge_channels(
@@ -101,7 +109,9 @@ def judge_channels(
     if len(patterns := {frame.pattern for frame in frames}) != 1:
         raise DataError(f"the presses have {len(patterns)} drive patterns; channels are judged for one at a time")
     (pattern,) = patterns
-    bare = replace(skin.calibration, channels=(), channel_gains=(), channel_errors=(), position_map="")
+    bare = replace(
+        skin.calibration, channels=(), channel_gains=(), channel_errors=(), channel_resistances=(), position_map=""
+    )
     known = SkinModel(replace(skin, calibration=bare), skin.transfer_model(), quiet)
     differences = [known.difference(frame) for frame in frames]
     ohms = np.array([change.volts / change.currents for change in differences])

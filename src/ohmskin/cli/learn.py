@@ -15,6 +15,7 @@ from ohmskin.cli.options import SkinName, check_picture, check_writable, write
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
+from ohmskin.scan import Baseline
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Skin, shipped_skins
 
@@ -67,7 +68,10 @@ def learn(
             judged = judge_channels(
                 description, recording.quiet, recording.frames, lambda share: shown.update(task, completed=share)
             )
-            found = judged.put_into(found)
+            resting = None  # of differences it is the model's
+            if recorded != "differences":
+                resting = Baseline.learn(recording.quiet).reference(judged.pattern)
+            found = judged.put_into(found, resting)
         if positions and recording.positions is not None:
             known = SkinModel(
                 replace(description, calibration=replace(found, position_map="")),

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from ohmskin.errors import OhmskinError
-from ohmskin.sensing import Cause, Finding
+from ohmskin.sensing import Cause, Finding, SkinModel
+from ohmskin.sensing.identity import changed_since
 from ohmskin.skin import Mode
 
 SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
@@ -35,9 +36,11 @@ class Notices:
             self._report(message)
         self.message = message
 
-    def calibrated(self, notes: Sequence[str], standing: str, detected: bool) -> None:
-        """Report the outcome of a calibration: what was done, the faults that remain, and whether a contact
-        was `detected` just before, which may have been there."""
+    def calibrated(self, notes: Sequence[str], known: SkinModel, detected: bool) -> None:
+        """Report the outcome of a calibration: the `notes` of what was done, what remains to be doubted of what is
+        `known`, and whether a contact was `detected` just before, which may have been there."""
+        findings = known.quality.findings if known.quality else []
+        standing = "; ".join([*findings, *changed_since(known)])
         for sentence in [*notes, *([standing] if standing else []), *([_DETECTED] if detected else [])]:
             self._report(sentence)
         self._faults = standing

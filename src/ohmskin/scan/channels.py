@@ -41,15 +41,19 @@ class Channels:
     def of(self, pattern: DrivePattern) -> tuple[Floats, Floats]:
         """Gains and errors (n_meas,) of a pattern's channels; those never judged have gain 1 and a usual error."""
         if (known := self._known.get(pattern)) is None:
-            codes, order = codes_of(self.quadruples)[0], np.argsort(codes_of(self.quadruples)[0])
-            wanted = codes_of(pattern.quadruples)[0]
-            at = order[np.minimum(np.searchsorted(codes, wanted, sorter=order), len(codes) - 1)]
-            judged = codes[at] == wanted
+            at, _, judged = self.find(pattern)
             known = self._known[pattern] = (
                 np.where(judged, self.gains[at], 1.0),
                 np.where(judged, self.errors[at], float(np.median(self.errors))),
             )
         return known
+
+    def find(self, pattern: DrivePattern) -> tuple[Ints, Ints, Bools]:
+        """Which channel (n_meas,) each measurement of a `pattern` is, its sign against that, and whether it is one."""
+        (codes, signs), (wanted, turned) = codes_of(self.quadruples), codes_of(pattern.quadruples)
+        order = np.argsort(codes)
+        at = order[np.minimum(np.searchsorted(codes, wanted, sorter=order), len(codes) - 1)]
+        return at, signs[at] * turned, codes[at] == wanted
 
     def doubtful(self, pattern: DrivePattern) -> Bools:
         """(n_meas,) whether a channel of a `pattern` has no or little information, so that it is left out."""

@@ -20,12 +20,14 @@ class QuietScans:
     Attributes:
         auxiliary: What the auxiliary channel read in each frame, where there is one.
         repeats: How often the least repeated of the patterns was measured.
+        patterns: What was driven.
     """
 
     def __init__(self, frames: Sequence[Frame]) -> None:
         self._by_pattern: dict[DrivePattern, list[Frame]] = {}
         for frame in frames:
             self._by_pattern.setdefault(frame.pattern, []).append(frame)
+        self.patterns = tuple(self._by_pattern)
         self.auxiliary = [frame.auxiliary for frame in frames if frame.auxiliary is not None]
         self.repeats = min(len(repeated) for repeated in self._by_pattern.values())
         self._home = {  # where each voltage was measured

@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
 from ohmskin.geometry import Domain
-from ohmskin.scan import Channels
+from ohmskin.scan import Channels, DrivePattern
 from ohmskin.skin.checks import check_table, number, numbers, places, rows
 from ohmskin.skin.positions import PositionMap
 
@@ -49,6 +50,7 @@ class Calibration:
             presses of known force showed it; 0: as described.
         channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
         channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
+        channel_resistances: (n,) of these channels on the untouched skin (ohm), 0 where they were not measured.
         position_map: Correction of positions, learned from presses at known places: a `PositionMap` as text.
 
     Raises:
@@ -83,6 +85,7 @@ class Calibration:
     channels: tuple[tuple[int, int, int, int], ...] = rows("[source, sink, plus, minus]")
     channel_gains: tuple[float, ...] = numbers(1e3, low=-1e3)
     channel_errors: tuple[float, ...] = numbers(1e3, low=1e-6)
+    channel_resistances: tuple[float, ...] = numbers(1e12, "ohm", -1e12)
     position_map: str = ""
 
     def __post_init__(self) -> None:
@@ -99,6 +102,9 @@ class Calibration:
         if not len(self.channels) == len(self.channel_gains) == len(self.channel_errors):
             counts = f"{len(self.channels)}, {len(self.channel_gains)} and {len(self.channel_errors)} entries"
             raise SkinError(f"calibration.channels, channel_gains and channel_errors have {counts}; as many of each")
+        if len(self.channel_resistances) not in (0, len(self.channels)):
+            counts = f"{len(self.channel_resistances)} entries for {len(self.channels)} channels"
+            raise SkinError(f"calibration.channel_resistances has {counts}; one of each, or none")
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
@@ -119,6 +125,16 @@ class Calibration:
         if not self.channels:
             return None
         return Channels(np.array(self.channels), np.array(self.channel_gains), np.array(self.channel_errors))
+
+    def resting(self, pattern: DrivePattern) -> Floats:
+        """Resistances (n_meas,) of the channels of a `pattern` on the untouched skin whose presses were learned (ohm);
+        NaN where they are not known."""
+        found = np.full(pattern.n_meas, np.nan)
+        if self.channel_resistances and (judged := self.judged) is not None:
+            at, signs, known = judged.find(pattern)
+            then = np.array(self.channel_resistances)[at]
+            found = np.where(known & (then != 0), signs * then, np.nan)
+        return found
 
     @property
     def positions_learned(self) -> PositionMap | None:
