@@ -12,6 +12,7 @@ from direct import DirectDevice
 
 from ohmskin.calibrate import PressGuide, PressSample, calibrate_quiet, fit_force, press_plan
 from ohmskin.cli.calibrate import calibrate
+from ohmskin.cli.options import write_skin
 from ohmskin.contacts import Contact
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, DeviceError, OhmskinError, SkinError
@@ -249,6 +250,17 @@ def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path
     assert skin.calibration.forces == pytest.approx((1.961, 4.903), rel=1e-3)
     assert (tmp_path / "force.png").read_bytes().startswith(b"\x89PNG")
     assert re.findall(r"\[(\d) of 6\] .*\n    strength \d", done.stdout) == list("123456")
+
+
+def test_a_skin_that_was_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    names = ["first", "second", "third"]
+    for name in names:
+        write_skin(path, replace(PAPER, name=name))
+    found = [Skin.load(one).name for one in (tmp_path / "mine-before-1.toml", tmp_path / "mine-before-2.toml", path)]
+    assert found == names
+    assert len(list(tmp_path.iterdir())) == 3
+    assert f"the {path} that was there is now {tmp_path / 'mine-before-2.toml'}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

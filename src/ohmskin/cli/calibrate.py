@@ -21,7 +21,7 @@ from ohmskin.calibrate import (
     read_table,
 )
 from ohmskin.cli.heartbeat import HEARTBEAT
-from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable, open_skin, say, watched, write
+from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable, open_skin, say, watched, write_skin
 from ohmskin.device import Device
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
@@ -59,7 +59,8 @@ def calibrate(
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
-        output: File for the calibrated skin; NAME-calibrated.toml unless given.
+        output: File for the calibrated skin; NAME-calibrated.toml unless given. One that is there is kept under
+            another name.
         picture: Also save the fitted sheet and the force curve as a picture, such as calibration.png.
         mode: Drive mode to calibrate; the default mode unless given.
         weights: Weights to place (g), all on the same small foot.
@@ -121,7 +122,7 @@ def calibrate(
             found, curve, words = fit_newtons(replace(found, mode=mode), guide, known)
             for sentence in words:
                 console.print(sentence)
-    write(path, replace(description, calibration=found).dump())
+    write_skin(path, replace(description, calibration=found))
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
         from ohmskin.plot.calibration import save_calibration  # here: it needs the extra `plot`

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import Floats, as_plain
-from ohmskin.cli.options import SkinName, check_picture, check_writable, write
+from ohmskin.cli.options import SkinName, check_picture, check_writable, write, write_skin
 from ohmskin.drive import (
     DRIVES,
     Candidates,
@@ -72,6 +72,7 @@ def layout(
         output: Picture to write.
         json_file: JSON file to write with all figures; none unless given.
         save: With --optimise, skin file to write; SKIN-optimised.toml in this folder unless given.
+            One that is there is kept under another name.
     """
     check_picture(output)
     for path in (json_file, save):
@@ -105,7 +106,7 @@ def layout(
         fixed = name == _BEST or drive_of(possible[name], better).scans == 1
         found.append(_judge(better, name, injections if fixed else count, volts, size, contacts))
         target = save or Path(f"{described.name}-optimised.toml")
-        write(target, better.dump())
+        write_skin(target, better)
     lines, layouts, maps = zip(*found, strict=True)
     print("\n".join(lines))
     print("No unbiased estimator has a smaller error than the bound. docs/modes.md has the errors of all modes.")

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 import ohmskin
 from ohmskin.calibrate.channels import judge_channels
 from ohmskin.calibrate.positions import learn_positions, read_places
-from ohmskin.cli.options import SkinName, check_picture, check_writable, write
+from ohmskin.cli.options import SkinName, check_picture, check_writable, write_skin
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
@@ -36,7 +36,7 @@ def learn(
     Args:
         file: Frames of one press each: press data (.csv or .mat, see the guide), or any recording that `image` reads.
         skin: A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
-        output: File for the learned skin; NAME-learned.toml unless given.
+        output: File for the learned skin; NAME-learned.toml unless given. One that is there is kept under another name.
         picture: Also save the channels, and the errors of the map, as a picture, such as learned.png.
         reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
         pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
@@ -93,7 +93,7 @@ def learn(
             found = replace(found, position_map=report.map.dump())
     for one in (judged, report):
         print("\n".join(one.report() if one is not None else ()), end="\n" if one is not None else "")
-    write(path, replace(description, calibration=found).dump())
+    write_skin(path, replace(description, calibration=found))
     mode = "" if report is None else f", in mode {len(description.electrodes)}L or any whose contacts are fitted"
     print(f"wrote {path}; use it with --skin {path}{mode}")
     if picture is not None:
