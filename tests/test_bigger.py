@@ -14,7 +14,7 @@ from ohmskin.drive import Candidates, OptimalDrive, base_pattern, candidate_pair
 from ohmskin.drive.optimal import pair_weights, round_robin
 from ohmskin.drive.patterns import numbers_of
 from ohmskin.errors import PatternError
-from ohmskin.geometry import Electrodes, Rectangle
+from ohmskin.geometry import Electrodes, Raster, Rectangle
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.primitives import choose
@@ -123,7 +123,7 @@ def test_the_likeliest_change_is_that_of_the_normal_equations() -> None:
 
 @pytest.mark.parametrize("mode", ["42O", "42P", "42T"])
 def test_presses_all_over_a_skin_of_many_electrodes_are_felt(mode: str) -> None:
-    virtual = VirtualSkin(skin(), seed=2)
+    virtual, raster = VirtualSkin(skin(), seed=2), Raster(skin().mesh(), 64)
     with Engine(lambda: DirectDevice(virtual), skin(), mode) as engine:
         assert list(engine.modes) == ["42O", "42P", "42T"]
         engine.calibrate()
@@ -133,7 +133,10 @@ def test_presses_all_over_a_skin_of_many_electrodes_are_felt(mode: str) -> None:
             assert touches[-1] is not None
             (contact,) = touches[-1].contacts
             assert np.hypot(contact.position[0] - x, contact.position[1] - y) < 4e-3
-            assert touches[-1].percept.image.values.max() > 0.01
+            drawn = raster(touches[-1].percept.image.values)  # as page, recorder and publishers draw it
+            assert np.nanmax(drawn) > 0.01
+            row, column = np.unravel_index(np.nanargmax(drawn), drawn.shape)
+            assert np.hypot(raster.x[column] - x, raster.y[row] - y) < 10e-3
             assert not touches[-1].percept.findings
         virtual.press(1, 0.1, 0.1, 8e-3, 0)
         assert not [engine.step() for _ in range(14)][-1].contacts  # type: ignore[union-attr]

@@ -69,6 +69,15 @@ def test_each_rule_comes_near_the_oracle(rule: str, worst: float) -> None:
     assert np.mean(chosen) < worst * np.mean(oracle)
 
 
+@pytest.mark.parametrize("rule", ["cross-validation", "evidence", "discrepancy", "l-curve"])
+def test_a_mean_that_is_not_penalised_has_no_part_in_what_amplitudes_are_tried(rule: str) -> None:
+    free = GaussNewton(estimator().model, NOISE, "laplacian", amplitude=0.2)
+    difference = Difference(PATTERN, CURRENTS, truth(3)[1].volts)
+    choice, wide = (choose(rule, free, difference, amplitudes=tried) for tried in (None, np.geomspace(1e-6, 10, 141)))
+    assert choice.amplitudes[5] < choice.amplitude < choice.amplitudes[-5]
+    assert choice.amplitude == pytest.approx(wide.amplitude, rel=0.2)
+
+
 def test_evidence_finds_the_amplitude_that_the_truth_was_drawn_with() -> None:
     found = [evidence(estimator(), truth(seed)[1]).amplitude for seed in range(20)]
     assert np.exp(np.mean(np.log(found))) == pytest.approx(AMPLITUDE, rel=0.1)

@@ -114,7 +114,7 @@ def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engin
     assert engine.sensor is not None
     image, imaging = touch.percept.base_image.values, engine.skin.imaging
     threshold = max(engine.sensor.thresholds.base, imaging.fraction * image.max())
-    regions = find_regions(image, engine.sensor.cells, threshold, imaging.dip)
+    regions = find_regions(image, engine.sensor.known.model.mesh, threshold, imaging.dip)
     assert base.pattern == drive.base
     assert optimal.pattern == drive.second.pattern([region.anchors for region in regions])
 

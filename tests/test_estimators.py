@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
@@ -231,13 +231,15 @@ def test_estimators_work_on_curved_and_thick_skins(name: str, skin) -> None:
 # positivity
 
 
-def test_the_positive_image_is_the_non_negative_least_squares_of_the_stacked_system() -> None:
-    """Lawson and Hanson's active set on data and penalty in one, dense, under a prior without unknowns of its own."""
-    estimator = GaussNewton(model(), NOISE, "paper", amplitude=0.2, positive=True)
-    difference = touch((*AT, 0.012, 0.5))
-    root = np.linalg.cholesky(penalty_of(model(), "paper").normalised.toarray()).T
-    stacked = np.vstack([jacobian() / NOISE, root / 0.2])
-    expected = nnls(stacked, np.concatenate([difference.volts / NOISE, np.zeros(len(root))]), maxiter=10_000)[0]
+@pytest.mark.parametrize(("noise", "prior"), [(NOISE, "paper"), (NOISE / 300, "paper"), (NOISE / 300, "tikhonov")])
+def test_the_positive_image_is_the_non_negative_least_squares_of_the_stacked_system(noise: float, prior: str) -> None:
+    """Lawson and Hanson's active set on data and penalty in one, dense, under a prior without unknowns of its own; also
+    where the model's error is far larger than the noise."""
+    estimator = GaussNewton(model(), noise, prior, amplitude=0.2, positive=True)
+    difference = touch((*AT, 0.012, 0.5), noise=noise)
+    root = np.linalg.cholesky(penalty_of(model(), prior).normalised.toarray()).T
+    stacked = np.vstack([jacobian() / noise, root / 0.2])
+    expected = nnls(stacked, np.concatenate([difference.volts / noise, np.zeros(len(root))]), maxiter=10_000)[0]
     image = estimator.reconstruct(difference).values
     assert (image >= 0).all()
     assert 0 < np.mean(image == 0) < 1  # the bound does hold something
@@ -257,6 +259,25 @@ def test_what_only_raises_conductivity_never_lowers_it(name: str) -> None:
 
 
 # total variation
+
+
+def test_no_positive_image_has_a_lower_cost_than_that_of_total_variation() -> None:
+    """L-BFGS-B on the functional itself, from that image, where the model's error is far larger than the noise."""
+    noise, difference = NOISE / 300, touch((*AT, 0.012, 0.5), noise=NOISE / 300)
+    image = TotalVariation(model(), noise, 0.5, outline=0.01, positive=True, rounds=100).reconstruct(difference)
+    means, penalty = triangle_means(model().mesh), Variation(model().mesh, 0.5, 0.01)
+    relative = jacobian() @ means
+    nodal = np.maximum(np.linalg.lstsq(means.toarray(), image.values)[0], 0.0)
+
+    def cost(w: np.ndarray) -> tuple[float, np.ndarray]:
+        left = difference.volts - relative @ w
+        slope = 2 * (penalty.matrix(w) @ w - relative.T @ left / noise**2)
+        return float(left @ left / noise**2) + penalty.cost(w), slope
+
+    best = minimize(
+        cost, nodal, jac=True, method="L-BFGS-B", bounds=[(0, None)] * len(nodal), options={"maxiter": 2000}
+    )
+    assert cost(nodal)[0] < 1.01 * best.fun
 
 
 def test_a_positive_variation_image_is_positive_however_early_it_stops() -> None:

@@ -66,11 +66,58 @@ def test_links_are_where_the_joints_put_them(tmp_path: Path) -> None:
         ("sphere", "torus", "is a 'torus'; choose from box"),
         ('<geometry><sphere radius="0.05"/></geometry>', "", "has no geometry"),
         ('"1 0 0 1"', '"red"', "the colour of the visual"),
+        ('name="turn"', 'name="slide"', "joint 'slide' from link 'base' to 'arm' must have a name of its own"),
+        ('name="turn" ', "", "joint '' from link 'base' to 'arm' must have a name of its own"),
+        ('<link name="base"/>', 2 * '<link name="base"/>', "links must have names of their own; correct 'base'"),
+        ('<link name="base"/>', '<link/><link name="base"/>', "links must have names of their own; correct ''"),
+        ('<link name="base"/>', '<link name="base"/><link name="tail"/>', "links base, tail are on no joint as its"),
+        ('"0 3 4"/>', '"0 3 4"/><mimic joint="knee"/>', "joint 'turn' mimics 'knee', which is not in the file"),
+        ('"0 3 4"/>', '"0 3 4"/><mimic offset="1"/>', "joint 'turn' mimics '', which is not in the file"),
+        ('"0 3 4"/>', '"0 3 4"/><mimic joint="turn"/>', "joint 'turn' mimics 'turn', in a circle"),
+        (
+            '"0 3 4"/>',
+            '"0 3 4"/><mimic joint="slide" offset="far"/>',
+            "multiplier and offset of joint 'turn' is '1 far'",
+        ),
     ],
 )
 def test_a_wrong_robot_says_what(tmp_path: Path, old: str, new: str, says: str) -> None:
     with pytest.raises(SkinError, match=re.escape(says)):
         load(tmp_path, CHAIN.replace(old, new))
+
+
+def test_joints_may_not_mimic_each_other_in_a_circle(tmp_path: Path) -> None:
+    circle = CHAIN.replace('"0 0 2"/>', '"0 0 2"/><mimic joint="turn"/>')
+    with pytest.raises(SkinError, match="joint 'turn' mimics 'slide', in a circle"):
+        load(tmp_path, circle.replace('"0 3 4"/>', '"0 3 4"/><mimic joint="slide"/>'))
+
+
+def test_a_world_link_may_carry_the_robot(tmp_path: Path) -> None:
+    world = (
+        '<link name="world"/><joint name="w" type="fixed"><parent link="world"/><child link="base"/></joint></robot>'
+    )
+    assert load(tmp_path, CHAIN.replace("</robot>", world)).root == "world"
+
+
+def test_a_joint_that_mimics_another_follows_it(tmp_path: Path) -> None:
+    """Also through a third one, wherever they are in the file, and whatever is said of its own position."""
+    finger = """<link name="tip"/><joint name="curl" type="revolute"><parent link="hand"/><child link="tip"/>
+        <axis xyz="0 1 0"/></joint></robot>"""
+    free = CHAIN.replace("</robot>", finger)
+    tied = free.replace('"0 0 2"/>', '"0 0 2"/><mimic joint="curl" multiplier="2" offset="0.3"/>')
+    tied = tied.replace('"0 1 0"/>', '"0 1 0"/><mimic joint="turn" multiplier="-0.5" offset="0.1"/>')
+    robot = load(tmp_path, tied)
+    assert robot.independent == ("turn",)
+    for turn in (0.0, 0.8):
+        curl = -0.5 * turn + 0.1
+        expected = load(tmp_path, free, turn=turn, curl=curl, slide=2 * curl + 0.3)
+        for posed in (robot.posed({"turn": turn}), robot.posed({"turn": turn, "slide": 9.0, "curl": 9.0})):
+            for link, pose in expected.links.items():
+                np.testing.assert_allclose(posed.links[link], pose, atol=1e-12)
+    same = load(tmp_path, CHAIN.replace('"0 0 2"/>', '"0 0 2"/><mimic joint="turn"/>'), turn=0.8)
+    np.testing.assert_array_equal(same.links["hand"], load(tmp_path, CHAIN, turn=0.8, slide=0.8).links["hand"])
+    with pytest.raises(SkinError, match="joint 'slide' mimics 'turn'; give that joint's position"):
+        load(tmp_path, tied, slide=0.5)
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,14 @@ def test_turns_are_those_of_urdf(angles: tuple[float, float, float]) -> None:
         ('mode = "16B"', 'device = "replay:../a.mcap"', "outside the folder"),
         ('mode = "16B"', 'device = "virtual:tank"', "`skin` names its skin"),
         ('"paper-rim16"', '"nosuch"', "no skin named 'nosuch'"),
+        ('name = "arm"', 'name = "joints"', "name is 'joints'; it must be none of joints, links, image"),
+        ('name = "arm"', 'name = "answered"', "name is 'answered'; it must be none of"),
+        ('mode = "16B"', 'device = "foo:bar"', "patch 'arm': no driver for 'foo:bar'; an address begins with one of"),
+        ('mode = "16B"', 'device = "tcp://nohost"', "device is 'tcp://nohost'; it must be like tcp://HOST:PORT"),
+        ('mode = "16B"', 'device = "tcp://h:70000"', "device is 'tcp://h:70000'; it must be like"),
+        ('mode = "16B"', 'device = "tcp://h:1?baud=9"', "device is 'tcp://h:1?baud=9'; it must be like"),
+        ('mode = "16B"', 'device = "serial://"', "device is 'serial://'; it must be like"),
+        ('mode = "16B"', 'device = "serial:///dev/a?baud=x"', "device is 'serial:///dev/a?baud=x'; it must be like"),
         ('"16B"', '"99Z"', "mode '99Z' is not possible"),
         ('name = "torso"', "newtons = -5", "unknown entry"),
         ("[[patch]]", "[patch]", "not valid TOML"),
@@ -141,6 +149,19 @@ def test_a_wrong_body_says_what_and_where(tmp_path: Path, old: str, new: str, sa
     with pytest.raises(SkinError, match=re.escape(says)) as told:
         Body.load(write(tmp_path, BODY.replace(old, new, 1)))
     assert "body.toml" in str(told.value)
+
+
+@pytest.mark.parametrize("port", ["serial:///dev/ttyACM0", "serial://COM3"])
+def test_each_patch_has_a_serial_port_of_its_own(tmp_path: Path, port: str) -> None:
+    def both(front: str, arm: str) -> Body:
+        text = BODY.replace('link = "base"', f'link = "base"\ndevice = "{front}"')
+        return Body.load(write(tmp_path, text.replace("mode =", f'device = "{arm}"\nmode =')))
+
+    devices = [f"{port}?baud=115200", "tcp://[::1]:7155"]  # need not be there now
+    assert [placed.device for placed in both(*devices).patches] == devices
+    both(port, f"{port}1")
+    with pytest.raises(SkinError, match=f"two patches have the serial port '{port.removeprefix('serial://')}'"):
+        both(port, f"{port}?baud=115200")
 
 
 def test_a_body_without_patches_and_one_that_is_too_large_are_refused(tmp_path: Path) -> None:

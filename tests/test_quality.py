@@ -272,6 +272,21 @@ def test_a_wrong_skin_is_noticed(tank_folder: Path) -> None:
     assert any("electrodes' order" in warning for warning in match.report())
 
 
+def test_contacts_of_data_that_are_of_another_skin_are_not_believed(tank_folder: Path) -> None:
+    tank = Skin.load("tank")
+    places = tank.electrodes.positions
+    for folder in ("electrode01_metal", "electrode01_metal_electrode05_plastic"):
+        (file,) = (tank_folder / folder).glob("*.csv")
+        recording = read_recording(file)
+        for order in (range(16), [0, 1, 2, 4, 3, *range(5, 16)], [0, 5, 2, 3, 4, 1, *range(6, 16)]):
+            model = TransferModel(tank.mesh(), Electrodes.at(places[list(order)]), 2e-3)
+            known = SkinModel(tank, model, recording.quiet)
+            seen = perceive(known, recording.frames[0]).detections
+            assert seen
+            assert all((one.confidence > 0.9) == (order == range(16)) for one in seen)
+            assert order == range(16) or max(one.confidence for one in seen) < 0.5
+
+
 def test_no_current_no_signal_and_a_short_are_told_apart(model: TransferModel) -> None:
     frames = quiet_frames(model)
     broken = [replace(f, currents=np.where((PATTERN.injections == 7).any(axis=1), 1e-7, f.currents)) for f in frames]

@@ -71,6 +71,22 @@ def test_noise_makes_a_class_no_more_often_than_stated() -> None:
     assert sum(alarms) <= 2
 
 
+@pytest.mark.parametrize("target", [CONDUCTIVE, RESISTIVE])
+def test_where_either_class_alone_explains_the_change_it_is_undecided(target: tuple[float, float, float]) -> None:
+    """As without an electrode, in adjacent drive: the image has the sign of least variance, the data have none."""
+    model, pattern = sheet()
+    lost = (pattern.quadruples == 2).any(axis=1)
+    whole, without, nothing = (
+        changed(target),
+        *(replace(one, volts=np.where(lost, np.nan, one.volts)) for one in (changed(target), changed())),
+    )
+    for one in evidence(model, NOISE, [without], freedom=1000).values():
+        assert one.undecided
+        assert not one.significant
+    for difference in (whole, nothing):
+        assert not any(one.undecided for one in evidence(model, NOISE, [difference], freedom=1000).values())
+
+
 def test_more_noise_needs_more_evidence_and_bad_settings_are_refused() -> None:
     model, _ = sheet()
     difference = changed((0.05, 0.13, 1.02))

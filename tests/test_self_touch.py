@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from ohmskin.body import Body, SelfTouch
-from ohmskin.body.patches import Merger
+from ohmskin.body.patches import Merger, Patches
 from ohmskin.body.posture import Posture
 from ohmskin.body.robot import Robot
 from ohmskin.body.self_touch import distance_to
@@ -72,14 +73,15 @@ def on_arm(angle: float, spread: float | None = 1e-3, z: float = 0.05) -> Placed
     )
 
 
+@pytest.mark.parametrize("tag", ["visual", "collision"])
 @pytest.mark.parametrize(
     ("slide", "angle", "own"), [(NEAR, np.pi, True), (FAR, np.pi, False), (NEAR, 0.0, False), (NEAR, np.pi / 2, False)]
 )
 def test_a_contact_where_another_link_is_is_one_with_oneself(
-    tmp_path: Path, slide: float, angle: float, own: bool
+    tmp_path: Path, slide: float, angle: float, own: bool, tag: str
 ) -> None:
     """The box is at the inner side of the sleeve only; the ball above, which the arm carries, does not count."""
-    known = body(tmp_path)
+    known = body(tmp_path, URDF.replace("visual", tag))
     assert known.robot is not None
     robot = known.robot.posed({"slide": slide})
     (told,) = SelfTouch(known).with_self_touch(robot, [on_arm(angle, z=0.14)])
@@ -109,6 +111,25 @@ def test_where_the_shape_of_a_link_is_not_known_it_is_not_said_that_nothing_is_t
     assert known.robot is not None
     for slide, own in ((NEAR, True), (FAR, None)):
         (told,) = SelfTouch(known).with_self_touch(known.robot.posed({"slide": slide}), [on_arm(np.pi)])
+        assert told.self_touch is own
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+def test_where_the_pose_of_a_link_is_not_known_it_is_not_said_that_it_is_there_or_not(
+    tmp_path: Path, kind: str
+) -> None:
+    """A robot that as a whole moves in a world without shapes knows of its own links."""
+    loose = body(tmp_path, URDF.replace('"prismatic"', f'"{kind}"').replace('<axis xyz="1 0 0"/>', ""))
+    assert loose.robot is not None
+    at_box = replace(on_arm(np.pi), position=(0.1, 0.0, 0.0))
+    assert [told.self_touch for told in SelfTouch(loose).with_self_touch(loose.robot, [on_arm(0.0), at_box])] == [
+        None
+    ] * 2
+    world = f'<link name="w"/><joint name="f" type="{kind}"><parent link="w"/><child link="base"/></joint></robot>'
+    mobile = body(tmp_path, URDF.replace("</robot>", world))
+    assert mobile.robot is not None
+    for slide, own in ((NEAR, True), (FAR, False)):
+        (told,) = SelfTouch(mobile).with_self_touch(mobile.robot.posed({"slide": slide}), [on_arm(np.pi)])
         assert told.self_touch is own
 
 
@@ -207,13 +228,51 @@ def test_clients_hear_of_self_touch_while_joint_states_come(live: Any, monkeypat
         assert subscribe(None)  # it may stand otherwise by now
         joints.push({"slide": NEAR})
         assert subscribe(True)
-        for _ in range(2):
-            joints.push({"knee": 1.0})
+        for wrong in ("knee", "hip"):
+            joints.push({wrong: 1.0})
             assert subscribe(None)
-        assert len(said) == 1
+        assert len(said) == 1  # not again before it has recovered
         assert "no joint 'knee'; the joints are glue, slide" in said[0]
+        joints.push({"slide": NEAR})
+        assert subscribe(True)
+        joints.push({"hip": 1.0})
+        assert subscribe(None)
+        assert len(said) == 2
         with pytest.raises(PublishError, match="joint 'slide' is at nan"):
             joints.push({"slide": math.nan})
+
+
+def geared(folder: Path) -> Body:
+    """A body whose slide mimics a motor."""
+    tied = '<axis xyz="1 0 0"/><mimic joint="motor" multiplier="0.5" offset="0.1"/>'
+    motor = """<link name="gear"/><joint name="motor" type="continuous">
+        <parent link="base"/><child link="gear"/></joint></robot>"""
+    urdf = URDF.replace('<axis xyz="1 0 0"/>', tied).replace("</robot>", motor)
+    (folder / "r.urdf").write_text(urdf, encoding="utf-8")
+    (folder / "r.toml").write_text(BODY.replace("slide = 0.5", "motor = 3.0"), encoding="utf-8")
+    return Body.load(folder / "r.toml")
+
+
+def test_the_posture_is_known_without_joints_that_mimic_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.body.posture._STALE", 50.0)
+    with Posture(geared(tmp_path)) as posture, JointStates("r") as joints:
+        for told, slide in (({"motor": 0.4}, 0.3), ({"motor": 0.4, "slide": 0.0}, 0.3), ({}, 1.6)):
+            joints.push(told)
+            time.sleep(0.06)  # a reader looks that often whether there is a new board
+            posture.step()
+            assert posture.robot.links["arm"][0, 3] == pytest.approx(slide)
+            assert posture.with_self_touch([on_arm(0.0)])[0].self_touch is False
+
+
+def test_joint_states_of_joints_that_mimic_others_do_not_age_the_posture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = MagicMock(side_effect=PublishError("that is enough"))
+    monkeypatch.setattr("ohmskin.body.patches.JointsProcess", heard)
+    monkeypatch.setattr("ohmskin.body.patches.RelayProcess", MagicMock())
+    with pytest.raises(PublishError, match="that is enough"):
+        Patches(geared(tmp_path), joints="zenoh")
+    assert list(heard.call_args.args[1]) == ["motor"]
 
 
 def test_the_page_is_told_where_links_are_now(live: Any) -> None:

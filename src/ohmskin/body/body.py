@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from ohmskin.body.robot import Robot
 from ohmskin.client.contacts import MOST_PATCHES, Patch
+from ohmskin.device.registry import scheme_of
 from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin, shipped_skins
@@ -18,6 +20,7 @@ _LARGEST_FILE = 2**20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 _LINK = re.compile(r"[^\s\x00-\x1f]{1,128}")
 _FARTHEST = 100.0  # m
+_RESERVED = ("joints", "links", "image", "health", "device", "asked", "answered")  # shared memory BODY.NAME
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ class Body:
         """Read a body from its TOML file at `path`. Skins and the URDF file are read from its folder only.
 
         Raises:
-            SkinError: If it cannot be read, an entry is unknown, missing or out of range, or a link not in the URDF.
+            SkinError: If it cannot be read, an entry is unknown, missing or out of range, a link is not in the URDF, a
+                patch has a reserved name, or a device's address cannot work.
         """
         path = Path(path)
         text = read_text(path, _LARGEST_FILE, "body file")
@@ -93,6 +97,9 @@ def _body(data: Mapping[str, Any], folder: Path) -> Body:
     names = [placed.patch.name for placed in patches]
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise SkinError(f"two patches are called {twice!r}; give each its own name")
+    ports = [_serial_port(placed.device) for placed in patches if placed.device.startswith("serial:")]
+    if shared := next((port for port in ports if ports.count(port) > 1), None):
+        raise SkinError(f"two patches have the serial port {shared!r}; give each the port of its own device")
     return Body(name, patches, robot)
 
 
@@ -103,6 +110,8 @@ def _placed(
     try:
         check_names(entry, ("name", "link", "device", "skin", "mode", "position", "rotation"))
         name, link = _text(entry, "name", None, _NAME), _text(entry, "link", None, _LINK)
+        if name in _RESERVED:
+            raise SkinError(f"name is {name!r}; it must be none of {', '.join(_RESERVED)}, which the body uses itself")
         if links is not None and link not in links:
             raise SkinError(f"link {link!r} is not in the URDF file; it has {', '.join(links[:20])}")
         x, y, z = _numbers(entry, "position", 3, _FARTHEST)
@@ -128,7 +137,7 @@ def _skin(folder: Path, source: str) -> Skin:
 
 
 def _device(folder: Path, address: str) -> str:
-    """The address; a recording is a file that the body file names."""
+    """The address, if it can work when its device is there; a recording is a file that the body file names."""
     kind, _, rest = address.partition(":")
     if kind == "virtual" and rest:
         raise SkinError(f"device is {address!r}; a virtual one is 'virtual:', and `skin` names its skin")
@@ -137,7 +146,25 @@ def _device(folder: Path, address: str) -> str:
     if kind == "replay":
         name, mark, settings = rest.partition("?")
         return f"replay:{sibling_path(folder, name, 'device', 'body file')}{mark}{settings}"
+    if scheme_of(address) in ("tcp", "serial") and not _complete(address):
+        raise SkinError(f"device is {address!r}; it must be like tcp://HOST:PORT or serial:///dev/ttyACM0?baud=921600")
     return address
+
+
+def _complete(address: str) -> bool:
+    """Whether an address of a wire has all that opening it needs, and nothing else."""
+    try:
+        parts = urlsplit(address)
+        if parts.scheme == "tcp":
+            return bool(parts.hostname and parts.port) and not parts.query
+    except ValueError:
+        return False
+    return bool(_serial_port(address)) and re.fullmatch(r"(baud=[1-9]\d{0,8})?", parts.query, re.ASCII) is not None
+
+
+def _serial_port(address: str) -> str:
+    parts = urlsplit(address)
+    return parts.netloc + parts.path
 
 
 def _text(data: Mapping[str, Any], name: str, default: str | None, allowed: re.Pattern[str]) -> str:

@@ -162,8 +162,7 @@ class Patches(Closing):
             stack.enter_context(self._relay)
             self.addresses = [f"shm:{body.name}", *self._relay.addresses]
             if joints and body.robot is not None:
-                moving = [name for name, joint in body.robot.joints.items() if joint.moves]
-                heard = JointsProcess(body.name, moving, joints, joint_topic, token)
+                heard = JointsProcess(body.name, body.robot.independent, joints, joint_topic, token)
                 report(f"receiving joint states at {stack.enter_context(heard).address}, {joint_topic}")
             self._replay = stack.enter_context(BodyReplay(body, replay)) if replay else None
             stack.callback(self._end_processes)

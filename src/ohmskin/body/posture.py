@@ -33,12 +33,15 @@ class Posture(Closing):
         self._self_touch = SelfTouch(body)
         assert body.robot is not None
         self.robot, self._still, self._report = body.robot, dict(body.robot.positions), report
-        self._reader, self._time, self._reported = BoardReader(f"{body.name}.joints"), -np.inf, ""
+        self._reader, self._time, self._reported = BoardReader(f"{body.name}.joints"), -np.inf, False
         links = list(body.robot.links)
         self._board = Board(f"{body.name}.links", {"links": links}, 128 * len(links))
 
     def step(self) -> None:
-        """Take over joint states that are new; those that cannot be are reported, and the robot counts as unknown."""
+        """Take over joint states that are new.
+
+        While they cannot be, which is reported once until it ends, the posture counts as unknown.
+        """
         if (record := self._reader.newest()) is None:
             return
         try:
@@ -46,10 +49,11 @@ class Posture(Closing):
             self.robot = self.robot.posed(self._still | with_self_touch["positions"])
             self._time = float(with_self_touch["time"])
             self._board.write(np.stack(list(self.robot.links.values())).astype("<f8").tobytes())
+            self._reported = False
         except (SkinError, ValueError, KeyError, TypeError) as error:
             self._time = -np.inf
-            if str(error) != self._reported:
-                self._reported = str(error)
+            if not self._reported:
+                self._reported = True
                 self._report(f"joint states are ignored: {error}")
 
     def with_self_touch(self, contacts: Sequence[PlacedContact]) -> tuple[PlacedContact, ...]:

@@ -53,7 +53,7 @@ class BodyReplay(Closing):
                 placed.patch.name: stack.enter_context(Publisher(placed.skin, (), own[placed.patch.name], placed.patch))
                 for placed in body.patches
             }
-            joints = [] if body.robot is None else [name for name, joint in body.robot.joints.items() if joint.moves]
+            joints = () if body.robot is None else body.robot.independent
             self._follower = None
             if joints:
                 self._follower = JointMerger(stack.enter_context(JointStates(body.name)), joints)

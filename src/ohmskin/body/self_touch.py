@@ -1,6 +1,6 @@
 """Self-touch distinguished from touch by others: whether another link of the robot is where a contact is."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import inf, isnan
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.body.body import Body
-from ohmskin.body.robot import Robot
+from ohmskin.body.robot import Joint, Robot
 from ohmskin.client.contacts import PlacedContact
 from ohmskin.errors import SkinError
 
@@ -35,13 +35,17 @@ class SelfTouch:
     def __init__(self, body: Body) -> None:
         if body.robot is None:
             raise SkinError(f"body {body.name!r} names no URDF file, without which self-touch cannot be determined")
-        self._body, self._rigid = body, _rigid(body.robot)
-        self._sure = not body.robot.unseen
+        self._body, self._unseen = body, body.robot.unseen
+        self._rigid = _highest(body.robot, lambda joint: joint.kind == "fixed")
+        self._known = _highest(body.robot, lambda joint: joint.kind == "fixed" or joint.moves)
+        solid = [visual["link"] for visual in body.robot.visuals] + [placed.patch.frame for placed in body.patches]
+        self._solid = {self._known[link] for link in solid}
 
     def with_self_touch(self, robot: Robot, contacts: Sequence[PlacedContact]) -> tuple[PlacedContact, ...]:
         """The same contacts, with their `self_touch` determined.
 
-        It is None where nothing is near but a link has a mesh, whose shape is not known here.
+        It is None where nothing is near but a link has a mesh, whose shape is not known here, or a planar or floating
+        joint is between a link and the contact's own, whose relative pose is not known then.
 
         Args:
             robot: In the posture of that moment.
@@ -51,11 +55,12 @@ class SelfTouch:
         for contact, placed in zip(contacts, robot.place(contacts), strict=True):
             spread = _UNKNOWN if isnan(contact.spread) else contact.spread
             own = self.nearest(robot, np.array(placed.position), contact.frame)[1] <= _GAP + _SURE * spread
-            with_self_touch.append(replace(contact, self_touch=own if own or self._sure else None))
+            sure = not self._unseen and self._solid <= {self._known[contact.frame]}
+            with_self_touch.append(replace(contact, self_touch=own if own or sure else None))
         return tuple(with_self_touch)
 
     def nearest(self, robot: Robot, point: Floats, link: str) -> tuple[str, float]:
-        """The surface closest to a point, among all links that can move relative to its link.
+        """The surface closest to a point, among all links that can move relative to its link in a known way.
 
         Args:
             robot: In the posture of that moment.
@@ -67,22 +72,26 @@ class SelfTouch:
         """
         found = ("", inf)
         for visual in robot.visuals:
-            if self._rigid[visual["link"]] != self._rigid[link]:
+            if self._counts(visual["link"], link):
                 pose = robot.links[visual["link"]] @ visual["pose"]
                 away = distance_to((point - pose[:3, 3]) @ pose[:3, :3], visual)
                 found = min(found, (visual["link"], away), key=lambda one: one[1])
         for placed in self._body.patches:
-            if self._rigid[placed.patch.frame] != self._rigid[link]:
+            if self._counts(placed.patch.frame, link):
                 pose = robot.links[placed.patch.frame]
                 local = (point - pose[:3, 3]) @ pose[:3, :3] - placed.patch.position
                 away = float(placed.skin.chart.project(np.array(placed.patch.axes) @ local)[1][0])
                 found = min(found, (placed.patch.frame, away), key=lambda one: one[1])
         return found
 
+    def _counts(self, other: str, link: str) -> bool:
+        """Whether the other link can move relative to a link, and joint states determine how."""
+        return self._rigid[other] != self._rigid[link] and self._known[other] == self._known[link]
 
-def _rigid(robot: Robot) -> dict[str, str]:
-    """For each link the first one, from the root on, that it cannot move against."""
-    above = {joint.child: joint for joint in robot.joints.values() if not joint.moves}
+
+def _highest(robot: Robot, through: Callable[[Joint], bool]) -> dict[str, str]:
+    """For each link the first one, from the root on, that only such joints connect it to."""
+    above = {joint.child: joint for joint in robot.joints.values() if through(joint)}
     found = {}
     for link in robot.links:
         found[link] = link

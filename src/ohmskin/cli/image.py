@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
 from ohmskin.cli.options import Flag, check_picture, check_recording, watched
 from ohmskin.client.fields import as_json
 from ohmskin.contacts import CLASSES, Segments, evidence, segments
@@ -96,15 +98,15 @@ def image(
         share = f"{100 * percept.belief.unexplained:.0f} % of the change fits no change of this sheet's conductivity"
         print(f"# {share}: another skin, swapped wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr)
     mesh, electrodes = known.model.mesh, description.electrodes
-    title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
+    title = f"{file.parent.name.replace('_', ' ')} {file.stem}".strip()
     limit = full_scale(percept)
-    cells, freedom = known.estimator(estimator, prior, rule).cells, noise_freedom(recording.quiet)
-    needed = evidence(known.model, known.noise, [known.difference(shown)], freedom)
+    noise = known.noise * (1 if len(recording.quiet) > 1 else np.sqrt(2))  # of a single one, not of a difference
+    scans = [known.difference(shown)]
+    needed = {} if match.doubtful else evidence(known.model, noise, scans, noise_freedom(recording.quiet))
     how = {"fraction": description.imaging.fraction, "dip": description.imaging.dip}
-    classes = segments(percept.image, cells, needed, **how)
-    labels = classes.labels if len(classes.labels) == mesh.n_elem else None  # pixels are not the mesh's
-    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit, labels)
-    _print_report(percept, target, classes, classes.areas(cells), json)
+    classes = segments(percept.image, mesh, needed, **how)
+    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit, classes.labels)
+    _print_report(percept, target, classes, classes.areas(mesh), json)
 
 
 def noise_freedom(quiet: Sequence[Frame]) -> int:
@@ -118,7 +120,12 @@ def _print_report(
     if as_lines:
         contacts = [as_json(contact) for contact in percept.detections]
         classes = {
-            name: {"area": areas[name], "there": one.significant, "lost": one.unexplained, "needed": one.needed}
+            name: {
+                "area": areas[name],
+                "there": None if one.undecided else one.significant,
+                "lost": one.unexplained,
+                "needed": one.needed,
+            }
             for name, one in ((CLASSES[sign], one) for sign, one in (found.evidence if found else {}).items())
         }
         print(json_module.dumps({"contacts": contacts, "classes": classes, "picture": str(target)}))
@@ -134,5 +141,7 @@ def _print_report(
         more, needed = 100 * one.unexplained, 100 * one.needed
         share = f"without it {more:.2g} % more of the change is unexplained, {needed:.2g} % needed"
         area = f"{1e4 * areas[CLASSES[sign]]:.1f} cm2" if one.significant else "none"
+        if one.undecided:
+            area = "undecided, as either class alone explains the change"
         print(f"{CLASSES[sign]}: {area}; {share}")
     print(f"picture: {target}")

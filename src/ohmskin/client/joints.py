@@ -33,6 +33,8 @@ class JointStates(Closing):
     def push(self, positions: Mapping[str, float], age: float = 0.0) -> None:
         """Send the positions of joints; joints that are not named have the positions of the body file.
 
+        A joint that mimics another in the URDF file follows that one, whether it is named or not.
+
         Args:
             positions: By the name of the joint (rad, m).
             age: How long ago they were measured (s).

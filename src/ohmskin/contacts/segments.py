@@ -31,10 +31,13 @@ class Evidence:
         unexplained: Share of the data's power that is no longer explained if the class is excluded (1).
         needed: Share that the class must explain to be reported (1): more than noise at the stated rate, and more than
             the errors of a linear model.
+        undecided: Whether the class may be there, although the data can do without it: something has changed, and
+            either class alone explains it, such as where all data of an electrode are missing.
     """
 
     unexplained: float
     needed: float
+    undecided: bool = False
 
     @property
     def significant(self) -> bool:
@@ -104,7 +107,10 @@ def evidence(
     least = left(free.reconstruct(*scans))
     turned = [replace(scan, volts=-scan.volts) for scan in scans]
     without = {1: left(risen.reconstruct(*turned), -1), -1: left(risen.reconstruct(*scans))}
-    return {sign: Evidence((one - least) / power, min(by_noise / power + _MODEL, 1.0)) for sign, one in without.items()}
+    needed = min(by_noise / power + _MODEL, 1.0)
+    lost = {sign: (one - least) / power for sign, one in without.items()}
+    undecided = max(lost.values()) <= needed < 1 - least / power
+    return {sign: Evidence(one, needed, undecided) for sign, one in lost.items()}
 
 
 def segments(

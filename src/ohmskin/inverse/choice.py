@@ -55,7 +55,8 @@ class _Spectrum:
         self.rest = max(float(system.volts @ system.volts - self.data @ self.data), 0.0)
         self.n_data = len(system.volts)
         if amplitudes is None:
-            amplitudes = self.noise / (self.singular[0] * np.geomspace(10.0, 1e-5, 121))
+            bound = system.rows[:, int(estimator.modes.free_mean) :]  # a mean that is not penalised has no scale
+            amplitudes = self.noise / (np.linalg.norm(bound, 2) * np.geomspace(10.0, 1e-5, 121))
         self.amplitudes = np.asarray(amplitudes, float)
         if self.amplitudes.ndim != 1 or len(self.amplitudes) < 5 or not (self.amplitudes > 0).all():
             raise ModelError("amplitudes to try must be at least five positive numbers")

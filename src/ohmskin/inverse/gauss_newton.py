@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
@@ -98,11 +99,11 @@ class GaussNewton(Reconstructor):
         unknowns, noise_std = solve_modes(self.modes, system, weight, self.noise)
         values = unknowns @ self.modes.modes
         if not self.positive:
-            return Image(values, noise_std)
+            return Image(values, noise_std, shares=self.shares)
         whole = pair_system(self.model.pairs, *differences)
         rows = whole.rows @ self.penalty.to_unknowns(self.relative())
         w = nonnegative(self.penalty.normalised, rows, whole.volts, weight)
-        return Image(self.penalty.to_image(w), noise_std)
+        return Image(self.penalty.to_image(w), noise_std, shares=self.shares)
 
     def unexplained(self, *differences: Difference) -> tuple[Floats, Floats]:
         """The data (n_finite,) of scans, `differences`, and what an image leaves of them that may be negative (V).
@@ -126,6 +127,11 @@ class GaussNewton(Reconstructor):
             return np.asarray(difference.combination(modes.pairs) @ relative @ modes.modes.T)
 
         return finite_system(caused, differences), weight
+
+    @property
+    def shares(self) -> sp.csc_array | None:
+        """`Pixels.shares` where images are of pixels; else None."""
+        return None if self.pixels is None else self.pixels.shares
 
     def relative(self) -> Floats:
         """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
@@ -21,11 +23,24 @@ class Image:
         values: (n_elem,) relative change of conductivity (1).
         noise_std: Function from element numbers (n,) to the standard deviation (n,) of their noise.
         logarithmic: Whether it was solved for in the logarithm of the conductivity.
+        shares: Of an image of pixels, (n_elem, n_pixels) share of each element in each pixel; else None.
     """
 
     values: Floats
     noise_std: NoiseStd = field(repr=False)
     logarithmic: bool = False
+    shares: sp.csc_array | None = field(default=None, repr=False)
+
+    @cached_property
+    def on_mesh(self) -> "Image":
+        """This image with one value per element of the mesh, whatever it is made of; noise is that of the pixel with
+        the largest share of an element."""
+        if (shares := self.shares) is None:
+            return self
+        largest = np.asarray(shares.argmax(axis=1)).ravel()
+        return Image(
+            shares @ self.values, lambda elements: self.noise_std(largest[np.asarray(elements)]), self.logarithmic
+        )
 
     @property
     def contrast(self) -> Floats:
@@ -39,7 +54,7 @@ class Image:
         table = TabulatedStd(
             self.noise_std(np.arange(len(self.values)))
         )  # what it is computed from is large, and stays here
-        return Image, (self.values, table, self.logarithmic)
+        return Image, (self.values, table, self.logarithmic, self.shares)
 
     def contrast_std(self, elements: ArrayLike) -> Floats:
         """Standard deviations (n,) that measurement noise gives the contrast of some elements (n,)."""

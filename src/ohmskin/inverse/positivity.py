@@ -7,6 +7,9 @@ from ohmskin.arrays import Bools, Floats
 from ohmskin.forward.assembly import factorise
 from ohmskin.inverse.modes import regularised
 
+_ROUNDS = 15  # within which a set of zeros repeats, or does not at all
+_RELEASED, _FLAT, _TINY = 2000, 1e-9, 1e-300  # unknowns, at most; share of the steepest slope that is none
+
 
 def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, free: Bools | None = None) -> Floats:
     """The unknowns w (n,) that minimise |volts - rows w|^2 / noise^2 + w^T matrix w, in the space of the data.
@@ -38,19 +41,39 @@ def _data_space(matrix: sp.csc_array, rows: Floats, noise: float) -> tuple[Float
     return smoothed, regularised(rows @ smoothed, noise)
 
 
-def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, rounds: int = 40) -> Floats:
-    """The same with w >= 0, by the primal-dual active set method (Hintermueller, Ito and Kunisch 2002).
+def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, held: Bools | None = None) -> Floats:
+    """The same with w >= 0, exactly, by the primal-dual active set method (Hintermueller, Ito and Kunisch 2002).
 
-    Unknowns are held at zero where their gradient says so, and solved for elsewhere, until the set repeats. For the
-    penalties of this package that takes some five to ten rounds and is then exact.
+    Unknowns are held at zero where their gradient says so, and solved for elsewhere, until the set repeats. Where noise
+    is small against the data it may go in circles; from there on unknowns are released one by one (Lawson and Hanson
+    1974).
+
+    Args:
+        matrix, rows, volts, noise: As for `penalised`.
+        held: (n,) which unknowns are expected to be zero, such as those of a similar problem.
     """
-    w = penalised(matrix, rows, volts, noise)
-    held = w < 0
-    for _ in range(rounds):
+
+    def slope(w: Floats) -> Floats:
+        return np.asarray(matrix @ w - rows.T @ (volts - rows @ w) / noise**2)
+
+    held = penalised(matrix, rows, volts, noise) < 0 if held is None else held
+    for _ in range(_ROUNDS):
         w = penalised(matrix, rows, volts, noise, ~held)
-        gradient = matrix @ w - rows.T @ (volts - rows @ w) / noise**2
-        wanted = np.where(held, gradient > 0, w < 0)
+        wanted = np.where(held, slope(w) > 0, w < 0)
         if np.array_equal(wanted, held):
-            break
+            return np.maximum(w, 0.0)
         held = wanted
-    return np.maximum(w, 0.0)
+    w = np.maximum(w, 0.0)
+    free, released, flat = w > 0, -1, _FLAT * float(np.abs(rows.T @ volts).max()) / noise**2
+    for _ in range(_RELEASED):
+        while (down := free & ((best := penalised(matrix, rows, volts, noise, free)) <= 0)).any():
+            shares = w[down] / np.maximum(w[down] - best[down], _TINY)
+            w = w + shares.min() * (best - w)
+            w[down] = np.where(shares <= shares.min(), 0.0, w[down])
+            free = w > 0
+        w, gradient = best, np.where(free, 0.0, slope(best))
+        if gradient.min() >= -flat or gradient.argmin() == released:  # which rounding has put back
+            break
+        released = int(gradient.argmin())
+        free = free | (np.arange(len(w)) == released)
+    return w

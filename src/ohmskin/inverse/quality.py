@@ -13,6 +13,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.scan import Frame
 
 _UNLIKE = 0.3  # share of the data that fits no scale of the model, above which its description is doubtful
+_FAR = 30.0  # factor of the conductivity, either way, that is rather one of units
 _OFFSET = 0.2  # constant error, as a share of the data, worth a warning
 
 
@@ -34,15 +35,23 @@ class ModelMatch:
     plain_misfit: float
     signal: float
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether these may be data of another skin."""
+        return self.misfit > _UNLIKE
+
     def report(self) -> list[str]:
         """Warnings as sentences; empty if the frame fits."""
         warnings = []
+        if not 1 / _FAR < abs(self.scale) < _FAR:
+            factor = f"{1 / abs(self.scale):.3g} times those of the described conductivity"
+            warnings.append(f"the voltages are {factor}: check the units of voltages and currents, and the description")
         if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
             share = 100 * abs(self.offset) / self.signal
             added = f"a constant {1e3 * self.offset:.3g} mV seems to be added to every voltage"
             advice = "differences to a reference cancel it, absolute images would not"
             warnings.append(f"{added} ({share:.0f} % of the signal): {advice}")
-        if self.misfit > _UNLIKE:
+        if self.doubtful:
             poor = f"{100 * self.misfit:.0f} % of quiet voltages do not fit the skin's description at any conductivity"
             advice = "check the electrodes' order, their start and direction, and the shape"
             warnings.append(f"{poor}; {advice}")

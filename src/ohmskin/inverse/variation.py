@@ -13,7 +13,7 @@ from ohmskin.forward.assembly import stiffness
 from ohmskin.geometry import Mesh
 from ohmskin.inverse.image import Image, Reconstructor
 from ohmskin.inverse.modes import DataSystem, check_positive, check_share, pair_system
-from ohmskin.inverse.positivity import noise_gain, penalised
+from ohmskin.inverse.positivity import noise_gain, nonnegative, penalised
 from ohmskin.inverse.priors import triangle_means
 from ohmskin.scan import Difference
 
@@ -140,14 +140,12 @@ class TotalVariation(Reconstructor):
         return w, variation
 
     def _solve(self, system: DataSystem, noise: float, variation: Variation, w: Floats) -> Floats:
-        free = np.ones(len(w), bool)
         for _ in range(self.rounds):
-            matrix = variation.matrix(w)
-            old, w = w, penalised(matrix, system.rows, system.volts, noise, free)
+            matrix, old = variation.matrix(w), w
             if self.positive:
-                gradient = matrix @ w - system.rows.T @ (system.volts - system.rows @ w) / noise**2
-                free = ~np.where(free, w < 0, gradient > 0)
-                w = np.maximum(w, 0.0)
+                w = nonnegative(matrix, system.rows, system.volts, noise, w <= 0 if w.any() else None)
+            else:
+                w = penalised(matrix, system.rows, system.volts, noise)
             if np.abs(w - old).max() < 3e-3 * max(float(np.abs(w).max()), 1e-3 * self.amplitude):
                 break
         return w

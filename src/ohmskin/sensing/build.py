@@ -15,7 +15,13 @@ from ohmskin.inverse.estimators import Estimator
 from ohmskin.registry import Registry
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
-from ohmskin.sensing.confidence import fit_confidence, image_confidence, image_misfit, scaled_confidence
+from ohmskin.sensing.confidence import (
+    fit_confidence,
+    image_confidence,
+    image_misfit,
+    quiet_confidence,
+    scaled_confidence,
+)
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.locator import Locator
@@ -109,12 +115,14 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     sensor = build(mode or recorded_mode(known.skin), known, Fixed(frame.pattern))
     percept = sensor.step(sensor.start(), lambda _: frame)[1]
     belief = percept.belief
-    if not belief.detections or isinstance(sensor.reader, DetectionReader):  # whose image is judged by the sensor
+    if not belief.detections:
         return percept
-    misfit, believed = image_misfit(known, [known.difference(frame)]), fit_confidence(belief.unexplained)
-    share = min(image_confidence(misfit) / believed, 1.0) if believed > 0 else 0.0  # contacts' part is counted
+    share, left = quiet_confidence(known, frame.pattern), belief.unexplained
+    if not isinstance(sensor.reader, DetectionReader):  # whose image is judged by the sensor
+        misfit, believed = image_misfit(known, [known.difference(frame)]), fit_confidence(left)
+        share *= min(image_confidence(misfit) / believed, 1.0) if believed > 0 else 0.0  # contacts' part is counted
+        left = max(misfit, left)
     detections, contacts = (scaled_confidence(some, share) for some in (belief.detections, belief.contacts))
-    left = max(misfit, belief.unexplained)
     return replace(percept, belief=replace(belief, detections=detections, contacts=contacts, unexplained=left))
 
 
@@ -144,8 +152,9 @@ def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:
         turns = iter([(number + k * apart) % repeats for k in scans])
         scan = lambda pattern, turns=turns: known.quiet.scan(pattern, next(turns))  # noqa: E731
         state, percept = sensor.step(state, scan)
-        base.append(finder.highest(percept.base_image))
-        final.append(finder.highest(percept.image))
+        image = percept.belief.image  # of what contacts are found in
+        base.append(finder.highest(percept.base_estimate.image if percept.base_estimate else image))
+        final.append(finder.highest(image))
         seconds = min(seconds, time.monotonic() - started)  # the quickest: the first prepares much
         begin = min(begin, time.thread_time())  # what others on the machine do must not count
         if repeats < _LEAST_QUIET or (number + 1 >= _LEAST_QUIET and time.thread_time() - begin > _PATIENCE):

@@ -247,7 +247,7 @@ class Compiled:
                 return cycle.estimator.reconstruct(*map(known.difference, used)).noise_std(cells)
 
             kept = values.astype(float)  # the next cycle writes over them
-            return LazyEstimate(lambda: Image(kept, noise_std))
+            return LazyEstimate(lambda: Image(kept, noise_std, shares=cycle.estimator.shares))
 
         base_estimate = image(cycle.base_image, frames[0])
         estimate = image(cycle.image, *frames[0 if cycle.fuse else 1 :])

@@ -1,14 +1,16 @@
-"""Whether the untouched skin is the one that was calibrated, or whose presses were learned: its quiet voltages tell."""
+"""Whether the untouched skin is the one that was calibrated, learned or described: its quiet voltages tell."""
 
 import numpy as np
 
+from ohmskin.sensing.confidence import quiet_match
 from ohmskin.sensing.model import SkinModel
 
 _LEAST, _TIMES = 0.02, 5.0  # share by which they differ at least, and over what was left then, or over the noise
 
 
 def changed_since(known: SkinModel) -> list[str]:
-    """What to say where the quiet voltages of `known` are not those of the skin as it was calibrated or learned.
+    """What to say where the quiet voltages of `known` are not those of the skin as it was calibrated or learned, or as
+    it is described.
 
     The conductivity as a whole, and the contacts of electrodes, may have changed: voltages of idle electrodes are
     compared, at the best common factor.
@@ -24,7 +26,8 @@ def changed_since(known: SkinModel) -> list[str]:
         then, made = np.concatenate([known.model.voltages(pattern) for pattern in patterns]), "calibrated"
         usual, advice = calibration.unexplained[1], "run `ohmskin calibrate` again"
     else:
-        return []
+        match = quiet_match(known, patterns[0])
+        return match.report() if match is not None and match.doubtful else []
     compared = idle & np.isfinite(now) & np.isfinite(then)
     now, then = now[compared], then[compared]
     if not (size := float(now @ now)):

@@ -10,7 +10,6 @@ import numpy as np
 from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, Solution, on_skin
 from ohmskin.drive import Drive
-from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame, newest
@@ -66,13 +65,13 @@ class Percept:
 
     @property
     def image(self) -> Image:
-        """The image, made when it is first asked for."""
-        return self.belief.image
+        """The image on the mesh, made when it is first asked for."""
+        return self.belief.image.on_mesh
 
     @property
     def base_image(self) -> Image:
-        """Image of the base scan; of frames with one scan the image."""
-        return self.image if self.base_estimate is None else self.base_estimate.image
+        """Image of the base scan, likewise; of frames with one scan the image."""
+        return self.image if self.base_estimate is None else self.base_estimate.image.on_mesh
 
     @property
     def detections(self) -> tuple[Contact, ...]:
@@ -179,11 +178,6 @@ class Sensor:
         other = copy(self)
         other.drive = drive
         return other
-
-    @property
-    def cells(self) -> Cells:
-        """The cells of its images."""
-        return self.reader.estimator.cells
 
     def start(self, before: Belief | None = None) -> SensorState:
         """The state while nothing touches the skin; ids and drift that the same reader estimated `before` are kept."""
