@@ -21,7 +21,10 @@ static void put(const ohmskin::Vector& vector) {
     for (double value : vector) put(value);
 }
 static void put(const std::optional<double>& value) { put(value.value_or(NAN)); }
-static void put(std::string_view text) { std::printf("\t%.*s", int(text.size()), text.data()); }
+static void put(std::string_view text) {  // a control character as the four characters \x09
+    std::putchar('\t');
+    for (char one : text) std::printf(one >= 0 && one < ' ' ? "\\x%02x" : "%c", one);
+}
 
 static void print(const ohmskin::Client& client, const ohmskin::Contacts& newest, long taken) {
     std::printf("felt\t%llu\t%llu\t%lld\t%ld", (unsigned long long)newest.sequence, (unsigned long long)newest.boot,
@@ -39,8 +42,8 @@ static void print(const ohmskin::Client& client, const ohmskin::Contacts& newest
         std::printf("\ncontact"), put(c.patch), put(c.frame), put(c.id), put(c.position), put(c.normal);
         put(c.extent), put(c.strength), put(c.confidence), put(c.peak), put(c.radius);
         put(c.velocity.value_or(ohmskin::Vector{NAN, NAN, NAN}));
-        for (int i = 0; i < 3; ++i)
-            for (int j = i; j < 3; ++j) put(c.covariance ? (*c.covariance)[j][i] : NAN);  // the lower triangle
+        for (std::size_t i = 0; i < 3; ++i)
+            for (std::size_t j = i; j < 3; ++j) put(c.covariance ? (*c.covariance)[j][i] : NAN);  // the lower triangle
         put(c.force), put(c.force_std), put(c.pressure), put(c.area), put(c.self_touch ? *c.self_touch : NAN);
     }
 }

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def test_another_skin_on_the_line_is_told_and_a_warmer_one_with_worse_contacts_i
     uneven = replace(PAPER, calibration=replace(quiet, log_conductivity=(0.0, 0.05, 0.05, -0.05)))
     for skin, told in ((PAPER, False), (warm, False), (uneven, True)):
         for mode in ("16P", "12B"):
-            with Engine(lambda skin=skin: DirectDevice(VirtualSkin(skin, 3)), calibrated, mode) as engine:  # type: ignore[misc]
+            with Engine(partial(DirectDevice, VirtualSkin(skin, 3)), calibrated, mode) as engine:
                 engine.calibrate()
                 assert ("unlike those of the skin that was calibrated" in engine.message) == told
                 assert bool(engine.message) == told

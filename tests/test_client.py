@@ -161,9 +161,17 @@ def test_a_writer_that_was_killed_is_followed_by_another() -> None:
 
 
 def test_two_writers_of_one_name_are_told() -> None:
-    with board(), pytest.raises(PublishError, match=r"another skin publishes as 'skin'.*--name"):
+    with board(), pytest.raises(PublishError, match=r"another program writes 'skin' here; .*--name"):
         board()
     board().close()
+
+
+@pytest.mark.parametrize("name", ["skin.asked", "torso.joints"])
+def test_two_that_command_a_skin_or_send_its_joints_are_not_told_to_rename_it(name: str) -> None:
+    with Board(name, {}, 100), pytest.raises(PublishError, match=f"another program writes '{name}' here") as told:
+        Board(name, {}, 100)
+    assert "wait until it has ended" in str(told.value)
+    assert "--name" not in str(told.value)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The client of control loops in C++, `ohmskin.hpp`: it reads what Python wrote, by the same rules."""
 
+import json
 import re
 import subprocess
 import sys
@@ -38,7 +39,7 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def compiled(source: Path, program: Path) -> Path:
     """A program, as the guide says to compile one; any warning is an error."""
     told = subprocess.run([sys.executable, "-m", "ohmskin.client"], capture_output=True, text=True, check=True)
-    warnings = ["-Wall", "-Wextra", "-Wshadow", "-Werror", "-pedantic"]
+    warnings = ["-Wall", "-Wextra", "-Wshadow", "-Wsign-conversion", "-Werror", "-pedantic"]
     command = ["g++", "-std=c++17", "-O2", *warnings, f"-I{told.stdout.strip()}", str(source), "-o", str(program)]
     subprocess.run(command, check=True, timeout=240)
     return program
@@ -122,6 +123,30 @@ def test_every_value_that_python_wrote_is_read(reader: Path) -> None:
                     assert row[:2] == [contact.patch, contact.frame]
                     told_numbers = [float.fromhex(value) for value in row[2:]]
                     assert told_numbers == pytest.approx(numbers(contact, 3), rel=0, abs=0, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("escaped", "meant"),
+    [
+        (json.dumps('\n\t\x01\r\b\f"\\/\x7fü漢😀', ensure_ascii=False), r"\x0a\x09\x01\x0d\x08\x0c" + '"\\/\x7fü漢😀'),
+        (json.dumps("ä漢😀\x00"), r"ä漢😀\x00"),
+        (r'"\/\u00E9"', "/é"),
+        (r'"\u12g4"', None),
+        (r'"\ud83d"', None),
+        (r'"\x41"', None),
+    ],
+)
+def test_names_are_decoded_from_json(reader: Path, escaped: str, meant: str | None) -> None:
+    letters = b'"' + b"x" * (len(escaped.encode()) - 2) + b'"'
+    patches = (replace(SKIN[0], frame=letters[1:-1].decode()),)
+    with board(patches) as writer, listening(reader) as ask:
+        with board_path("skin").open("r+b") as file:
+            at = file.read().index(letters)
+            file.seek(at)
+            file.write(escaped.encode())
+        writer.write(pack(replace(touch(1), patches=touch(1).patches[:1]), patches))
+        told = ask("wait 10")
+        assert (told["patch"][0][1] if meant else told["error"][0][0][:9]) == (meant or "the setup")
 
 
 def test_what_is_read_while_it_is_written_is_whole_and_never_older_than_before(reader: Path) -> None:

@@ -21,7 +21,7 @@ from ohmskin.client.cdr import CdrEncoder
 from ohmskin.device import connect
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, OhmskinError, PublishError
-from ohmskin.outlets.load_cell import open_load_cell
+from ohmskin.outlets.load_cell import force_of, open_load_cell
 from ohmskin.outlets.outlet import open_outlet
 from ohmskin.outlets.topics import Topic
 from ohmskin.recording import Recorder
@@ -48,7 +48,7 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(theirs)
 
 
-def test_a_line_tells_the_last_number_of_each_line_and_grows_old(line: tuple[int, str]) -> None:
+def test_a_line_tells_the_force_at_the_end_of_each_line_and_grows_old(line: tuple[int, str]) -> None:
     cell = LoadCell()
     assert np.isnan(cell.force)
     end = open_load_cell(f"serial://{line[1]}?baud=9600", "", cell.update)
@@ -59,6 +59,34 @@ def test_a_line_tells_the_last_number_of_each_line_and_grows_old(line: tuple[int
     os.write(line[0], b"\n")
     until(lambda: cell.force == 4.5)
     end()
+
+
+@pytest.mark.parametrize(
+    ("text", "force"),
+    [
+        *[("12.5", 12.5), ("-3.25 N", -3.25), ("+ .5N", 0.5), ("F=12.5", 12.5), ("force: 4  N", 4.0), ("ts 7;8.", 8.0)],
+        *[("ST,GS,-  12.5", -12.5), ("17, 1e-1 N", 0.1), ("F,2", 2.0)],
+        *[("2,70 N", None), ("1,234.5 N", None), ("1.234,5", None), ("12.5 N/m2", None), ("12.5 N ch1", None)],
+        *[("1.2.3", None), ("0x1F", None), ("0x1", None), ("F=12.5N T=23.4C", None), ("+  12.34 kg", None)],
+        *[("ERROR 5", None), ("Err: 12.5 N", None), ("overload 5", None), ("1e999", None), ("", None), ("N", None)],
+        *[("3-5", None), ("1'234", None), ("٣", None), ("nan", None)],
+    ],
+)
+def test_a_line_has_a_force_only_if_it_ends_in_plain_newtons(text: str, force: float | None) -> None:
+    assert force_of(text) == force
+
+
+def test_lines_without_a_force_are_told_once_and_give_none(
+    line: tuple[int, str], caplog: pytest.LogCaptureFixture
+) -> None:
+    told = list[float]()
+    end = open_load_cell(f"serial://{line[1]}", "", told.append)
+    os.write(line[0], b"\r\n2,70 N\r\n\r\n2,80 N\n1.5\r2.5\r" + b"x" * 300 + b" 3.5\n")
+    until(lambda: len(told) == 3)
+    end()
+    assert told == [1.5, 2.5, 3.5]
+    (record,) = caplog.records
+    assert f"no force in the line '2,70 N' of {line[1]}; lines must end with a number of newtons" in record.getMessage()
 
 
 @pytest.mark.parametrize("place", ["zenoh", "dds"])
@@ -86,6 +114,29 @@ def test_a_force_sensor_of_ros_is_heard(place: str, monkeypatch: pytest.MonkeyPa
         sender.close()
 
 
+def test_a_sensor_of_ros_may_leave_without_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "78")
+    left, errors = list[Any](), list[Any]()
+    monkeypatch.setattr("cyclonedds.sub.InvalidSample", lambda *told: left.append(told))
+    monkeypatch.setattr("sys.unraisablehook", errors.append)  # which takes what a thread of the library's raises
+    topic, cell = Topic("/ft/wrench", "geometry_msgs/msg/WrenchStamped", True, 10), LoadCell()
+    wrench = CdrEncoder().stamp(time.time_ns()).text("tool").put("dddddd", 0.0, 3.0, -4.0, 9.0, 9.0, 9.0).done()
+    end = open_load_cell("dds", "ft/wrench", cell.update)
+    sender = open_outlet("dds", [topic], "sensor", None)
+    try:
+
+        def heard() -> bool:
+            sender.send(topic, time.time_ns(), wrench)
+            return cell.force == 5.0
+
+        until(heard)
+    finally:
+        sender.close()
+    until(lambda: left or errors)
+    end()
+    assert not errors
+
+
 @pytest.mark.parametrize("source", ["file.txt", "serial://", "shm", "serial://a?rate=3"])
 def test_a_source_that_is_none_is_refused(source: str) -> None:
     with pytest.raises(PublishError, match="serial://PORT"):
@@ -105,6 +156,8 @@ def test_samples_are_of_steady_presses_and_know_whether_they_rise() -> None:
     for _ in range(6):
         assert not sampler.add([contact(2, 0.05), contact(3, 0.15)], [], 3.0)  # whose force is it?
         assert not sampler.add([contact(2, 0.05)], [], float("nan"))
+    for _ in range(6):
+        assert not sampler.add([contact(5, 0.05)], [], float("inf"))
     for _ in range(6):
         sampler.add([contact(4, 0.15)], [], 3.0)
     assert sampler.done
@@ -200,11 +253,12 @@ def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_use
     for lines, says in (
         (["1,2", "0.5,2", "2,2"], "row 2 is at 0.5 s, not after the row before; sort the rows"),
         (["5000,2", "6000,2"], "has forces from 5000 to 6000 s"),
+        (["0,2", "0.1,2", "0.2,2", "0.3,2", "5000,2"], "within gaps of forces.csv, which are up to 5e+03 s long"),
     ):
         (tmp_path / "forces.csv").write_text("\n".join(["time_s,force_N", *lines]))
         done = ohmskin(*words, cwd=tmp_path)
         assert done.returncode == 2
-        assert says in done.stderr
+        assert says in done.stdout + done.stderr
     done = ohmskin(*words, "--samples", "5", cwd=tmp_path)
     assert "--samples has no effect where" in done.stderr
 
@@ -219,3 +273,15 @@ def test_a_table_that_makes_no_sense_is_told(text: str, tmp_path: Path) -> None:
         read_table(tmp_path / "a.csv", ("x_mm", "y_mm", "force_N"))
     with pytest.raises(OhmskinError):
         read_table(tmp_path / "none.csv", ("x_mm",))
+
+
+def test_a_table_of_a_spreadsheet_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("\ufefftime_s, force_N ,note\r\n0, 1.5,ü\r\n1,2,\r\n".encode())
+    assert read_table(tmp_path / "a.csv", ("time_s", "force_N")).tolist() == [[0.0, 1.5], [1.0, 2.0]]
+
+
+def test_a_table_that_lacks_a_column_is_told_once(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x_mm,force_N\n1,2\n")
+    with pytest.raises(DataError) as told:
+        read_table(tmp_path / "a.csv", ("x_mm", "y_mm"))
+    assert str(told.value) == f"{tmp_path / 'a.csv'} has no column y_mm; it needs x_mm, y_mm"

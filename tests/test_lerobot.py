@@ -2,6 +2,7 @@
 there: with it, one test more is found here (pip install lerobot integrations/lerobot)."""
 
 import importlib.util
+import runpy
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from test_client import PATCHES, touched, until
 from ohmskin.client import Board
 from ohmskin.client.contacts import LARGEST, pack
 from ohmskin.client.points import point_names
+from ohmskin.errors import PublishError
 from ohmskin.geometry import Raster
 from ohmskin.outlets.picture import Picture
 from ohmskin.skin import Skin
@@ -118,6 +121,68 @@ def test_an_image_is_red_where_it_is_pressed(observe: Any, pictures: Board) -> N
         other.wait(5.0)
     for one in (camera, other):
         one.close()
+
+
+class Part:
+    """A robot or a camera of LeRobot's.
+
+    Args:
+        fails: Whether it cannot be connected.
+    """
+
+    def __init__(self, fails: bool = False) -> None:
+        self.is_connected, self._fails = False, fails
+
+    def connect(self, *_: Any) -> None:
+        self.is_connected = True
+        if self._fails:
+            raise TimeoutError("silent")
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+
+@pytest.fixture
+def made(observe: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Makes the robot of the plug-in from a robot and cameras, with stand-ins for what it uses of LeRobot."""
+    parts: dict[str, dict[str, Any]] = {
+        "draccus": {"decode": lambda _, value: value},
+        "lerobot.cameras.utils": {"make_cameras_from_configs": lambda cameras: cameras},
+        "lerobot.robots.config": {"RobotConfig": object},
+        "lerobot.robots.robot": {"Robot": type("Robot", (), {"__init__": lambda *_: None})},
+        "lerobot.robots.utils": {"make_robot_from_config": lambda robot: robot},
+        f"{NAME}.config": {"OhmskinRobotConfig": object},
+        f"{NAME}.observe": vars(observe),
+    }
+    for name, members in parts.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        for parent in (name.rsplit(".", depth)[0] for depth in range(1, name.count(".") + 1)):
+            monkeypatch.setitem(sys.modules, parent, ModuleType(parent))
+        monkeypatch.setitem(sys.modules, name, module)
+    robot = runpy.run_path(str(PACKAGE / NAME / "robot.py"))["OhmskinRobot"]
+    return lambda **settings: robot(SimpleNamespace(skin="skin", contacts=2, max_age=0.5, **settings))
+
+
+@pytest.mark.parametrize("broken", ["robot", "camera", "contacts"])
+def test_a_robot_that_cannot_be_connected_is_left_disconnected(made: Any, broken: str) -> None:
+    arm, cameras = Part(broken == "robot"), {"a": Part(), "b": Part(broken == "camera")}
+    robot = made(robot=arm, cameras=cameras)
+    if broken == "contacts":
+        robot.config.skin = "no name"
+    with pytest.raises(PublishError if broken == "contacts" else TimeoutError):
+        robot.connect()
+    assert not any(part.is_connected for part in (robot, arm, *cameras.values()))
+
+
+def test_a_robot_that_is_connected_stays_so_when_it_is_connected_again(made: Any) -> None:
+    robot = made(robot=Part(), cameras={})
+    robot.connect()
+    with pytest.raises(ConnectionError, match=r"call disconnect\(\) first"):
+        robot.connect()
+    assert robot.is_connected
+    robot.disconnect()
+    assert not robot.robot.is_connected
 
 
 if importlib.util.find_spec("lerobot") is not None:

@@ -345,6 +345,20 @@ def test_command_line_mistakes(tmp_path: Path) -> None:
         assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--strategy", "bite"), *((f"--max-{of}", value) for of in ("force", "reaction") for value in ("nan", "-1", "0"))],
+)
+def test_limits_and_strategies_that_are_none_are_refused_at_once(
+    option: str, value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.robot.engines", lambda *_: pytest.fail("calibrated"))
+    done = ohmskin("robot", option, value)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"ohmskin: {option} is ")
+    assert "choose" in done.stderr
+
+
 def test_each_strategy_reacts_as_described() -> None:
     """One cycle's command, of a touch of 6 N: where the joints go, and whether the robot's own movement goes on."""
     skin, layer = Skin.load("paper"), Skin.load("paper").contact_layer

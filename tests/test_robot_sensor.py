@@ -165,6 +165,25 @@ def test_contacts_are_a_vector_of_fixed_length(sensor: SkinSensor, resting: tupl
     assert len(points(contacts * 5, 2)) == 12
 
 
+def test_an_episode_is_the_same_every_time_with_the_same_seed(resting: tuple[Any, Any], skin: Skin) -> None:
+    """Also the first, in which the loop is calibrated, and whatever seed that had."""
+
+    def episode(sensor: SkinSensor, seed: int) -> list[Any]:
+        sensor.reset(seed)
+        changes = sensor.voltages([()])  # which takes noise, too
+        return [changes, *(sensor(resting[1]).percept.image.values for _ in range(5))]
+
+    with (
+        SkinSensor(resting[0], "table", skin, mode="16O", seed=1) as one,
+        SkinSensor(resting[0], "table", skin, mode="16O", seed=1) as other,
+    ):
+        first = episode(one, 3)
+        episode(other, 99)
+        for again in (episode(one, 3), episode(other, 3)):
+            assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, again, strict=True))
+        assert not np.array_equal(first[0], episode(one, 4)[0])
+
+
 def test_gymnasium_takes_it_for_an_environment(resting: tuple[Any, Any], sensor: SkinSensor) -> None:
     gymnasium = pytest.importorskip("gymnasium", reason="needs Gymnasium: pip install 'ohmskin[gym]'")
     from gymnasium.utils.env_checker import check_env

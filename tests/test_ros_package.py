@@ -1,6 +1,7 @@
 """The ROS 2 package that starts a skin, held against what there is; ROS 2 itself is neither needed nor tried."""
 
 import re
+import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -10,6 +11,8 @@ from xml.etree import ElementTree
 import pytest
 from command_line import ohmskin
 from test_publish import PUBLISHED
+
+from ohmskin.errors import PublishError
 
 yaml = pytest.importorskip("yaml")
 
@@ -74,6 +77,104 @@ def test_the_launch_file_starts_the_skin_with_options_that_there_are(
     assert process.cmd[2:] == ["--publish", "zenoh", "--publish", "foxglove", "--seconds", "2.5"]
     assert state.parameters == [{"robot_description": "<robot name='r'/>"}]
     assert Path(rviz.arguments[1]).is_file()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", []),
+        ("seconds:\nname:\n", []),
+        ("browser: false\ndemo: false\njson: false\n", ["--no-browser", "--no-demo"]),
+        ("demo: true\nprior: paper\n", ["--demo", "--prior", "paper"]),
+    ],
+)
+def test_options_that_are_off_or_empty_are_given_as_such(
+    text: str, words: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "own.yaml").write_text(text)
+    process, commands = launched(monkeypatch, commands="true", params=str(tmp_path / "own.yaml"))
+    assert process.cmd == ["ohmskin", "live", *words]
+    assert commands.parameters == [{"skins": ["skin"]}]
+    negative = set(re.findall(r"--no-[a-z-]+", ohmskin("live", "--help").stdout))
+    assert negative == {"--no-browser", "--no-demo"}  # those that the launch file knows
+
+
+class Ros:
+    """Stand-ins for the few classes of ROS 2 that the node of services uses.
+
+    Args:
+        monkeypatch: Takes them back.
+        skins: The parameter as it is given; an error is raised.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, skins: Any) -> None:
+        self.services: dict[str, Any] = {}
+        self.groups: dict[str, Any] = {}
+        self.threads = 0
+        error = type("ParameterException", (Exception,), {})
+
+        def declare(_: str, __: list[str]) -> SimpleNamespace:
+            if isinstance(skins, str):
+                raise error(skins)
+            return SimpleNamespace(value=skins)
+
+        def service(_: Any, name: str, answer: Any, callback_group: Any = None) -> None:
+            self.services[name], self.groups[name] = answer, callback_group
+
+        def executor(num_threads: int) -> SimpleNamespace:
+            self.threads = num_threads
+            return SimpleNamespace(add_node=lambda _: None, spin=lambda: None)
+
+        node = SimpleNamespace(declare_parameter=declare, create_service=service)
+        parts: dict[str, dict[str, Any]] = {
+            "rclpy": {"init": lambda: None, "spin": lambda _: None},
+            "rclpy.callback_groups": {"MutuallyExclusiveCallbackGroup": object},
+            "rclpy.exceptions": {"ParameterException": error},
+            "rclpy.executors": {"ExternalShutdownException": KeyError, "MultiThreadedExecutor": executor},
+            "rclpy.node": {"Node": lambda _: node},
+            "ohmskin_msgs": {},
+            "ohmskin_msgs.srv": {"SetMode": object},
+            "std_srvs": {},
+            "std_srvs.srv": {"Trigger": object},
+        }
+        for name, members in parts.items():
+            module = ModuleType(name)
+            vars(module).update(members)
+            monkeypatch.setitem(sys.modules, name, module)
+        self.main = runpy.run_path(str(PACKAGE / "scripts" / "commands.py"))["main"]
+
+
+def test_a_silent_skin_does_not_keep_the_services_of_others_waiting(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+    ros = Ros(monkeypatch, ["skin", "torso.left"])
+    ros.main()
+    prefixes = ("/ohmskin", "/ohmskin/torso/left")
+    assert list(ros.services) == [f"{prefix}/{what}" for prefix in prefixes for what in ("tare", "set_mode")]
+    first, second = ({id(ros.groups[f"{prefix}/{what}"]) for what in ("tare", "set_mode")} for prefix in prefixes)
+    assert len(first) == len(second) == 1
+    assert first != second
+    assert ros.threads > 2
+    monkeypatch.setattr(
+        "ohmskin.client.Commands.set_mode", lambda skin, mode: (_ for _ in ()).throw(PublishError(mode))
+    )
+    told = ros.services["/ohmskin/set_mode"](SimpleNamespace(mode="16Z"), SimpleNamespace())
+    assert (told.success, told.message) == (False, "16Z")
+
+
+@pytest.mark.parametrize(
+    ("skins", "why"), [(None, "it is empty"), ("of type 'INTEGER'", "of type 'INTEGER'"), (["bad name"], "'bad name")]
+)
+def test_a_parameter_that_names_no_skins_is_told_in_one_line(
+    skins: Any, why: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+    with pytest.raises(SystemExit) as told:
+        Ros(monkeypatch, skins).main()
+    assert str(told.value).startswith("the parameter `skins` must be a list of names of skins")
+    assert why in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 def test_rviz_shows_topics_that_there_are_with_their_types_and_qos() -> None:

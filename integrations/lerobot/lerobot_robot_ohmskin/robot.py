@@ -42,11 +42,25 @@ class OhmskinRobot(Robot):
         return self._contacts is not None and (self.robot is None or self.robot.is_connected)
 
     def connect(self, calibrate: bool = True) -> None:
-        if self.robot is not None:
-            self.robot.connect(calibrate)
-        for camera in self.cameras.values():
-            camera.connect()
-        self._contacts = Contacts(self.config.skin, self.config.contacts, self.config.max_age)
+        """Connect robot, cameras and skin; if one cannot be, disconnect the others.
+
+        Args:
+            calibrate: Whether to calibrate a robot that is not.
+
+        Raises:
+            ConnectionError: If they are connected.
+        """
+        if self.is_connected:
+            raise ConnectionError("the robot is connected; call disconnect() first")
+        try:
+            if self.robot is not None:
+                self.robot.connect(calibrate)
+            for camera in self.cameras.values():
+                camera.connect()
+            self._contacts = Contacts(self.config.skin, self.config.contacts, self.config.max_age)
+        except BaseException:
+            self.disconnect()
+            raise
 
     @property
     def is_calibrated(self) -> bool:

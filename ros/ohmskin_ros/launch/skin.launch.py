@@ -12,6 +12,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 SHARE = Path(__file__).resolve().parents[1]
+NEGATIVES = ("browser", "demo")  # options of `ohmskin live` that have a negative form
 ARGUMENTS = {
     "params": (str(SHARE / "config" / "skin.yaml"), "Options of `ohmskin live`, a YAML file."),
     "ohmskin": ("ohmskin", "The command, such as the one of a virtual environment."),
@@ -24,12 +25,16 @@ ARGUMENTS = {
 def actions(context):
     """What to start, by the arguments as given."""
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    options = yaml.safe_load(Path(given["params"]).read_text(encoding="utf-8"))
+    options = yaml.safe_load(Path(given["params"]).read_text(encoding="utf-8")) or {}
+    options = {name: value for name, value in options.items() if value is not None}
     command = [given["ohmskin"], "live"]
     for name, value in options.items():
         for one in value if isinstance(value, list) else [value]:
-            flag = f"--{name.replace('_', '-')}"
-            command += [flag] * (one is True) if isinstance(one, bool) else [flag, str(one)]
+            flag = name.replace("_", "-")
+            if one is False:
+                command += [f"--no-{flag}"] * (name in NEGATIVES)
+            else:
+                command += [f"--{flag}"] if one is True else [f"--{flag}", str(one)]
     started = [ExecuteProcess(cmd=command, output="screen")]
     if given["commands"].lower() == "true":
         told = {"skins": [str(options.get("name", "skin"))]}

@@ -4,11 +4,14 @@
 It needs `ohmskin.client` (pip install packaging/client), and runs as the user who runs `ohmskin live`.
 """
 
+import sys
 from contextlib import suppress
 
 import rclpy
 from ohmskin_msgs.srv import SetMode
-from rclpy.executors import ExternalShutdownException
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -27,21 +30,39 @@ def answered(response, command, *arguments):
     return response
 
 
+def serve(node, name):
+    """Offer the services of a skin, which wait for one another, but for no other skin's."""
+    commands, group = Commands(name), MutuallyExclusiveCallbackGroup()
+    node.create_service(
+        Trigger,
+        f"{prefix(name)}/tare",
+        lambda _, told: answered(told, commands.tare),
+        callback_group=group,
+    )
+    node.create_service(
+        SetMode,
+        f"{prefix(name)}/set_mode",
+        lambda asked, told: answered(told, commands.set_mode, asked.mode),
+        callback_group=group,
+    )
+
+
 def main():
     """Serve until the node is shut down."""
     rclpy.init()
     node = Node("ohmskin_commands")
-    names = node.declare_parameter("skins", ["skin"]).value  # BODY.PATCH for patches of a body
-    for name in names:
-        commands = Commands(name)
-        node.create_service(Trigger, f"{prefix(name)}/tare", lambda _, told, skin=commands: answered(told, skin.tare))
-        node.create_service(
-            SetMode,
-            f"{prefix(name)}/set_mode",
-            lambda asked, told, skin=commands: answered(told, skin.set_mode, asked.mode),
-        )
+    try:
+        names = node.declare_parameter("skins", ["skin"]).value  # BODY.PATCH for patches of a body
+        if not names:
+            raise PublishError("it is empty")
+        for name in names:
+            serve(node, name)
+    except (ParameterException, PublishError) as error:
+        sys.exit(f"the parameter `skins` must be a list of names of skins, such as ['skin']: {error}")
+    executor = MultiThreadedExecutor(num_threads=len(names) + 1)  # even if all of them are silent
+    executor.add_node(node)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+        executor.spin()
 
 
 if __name__ == "__main__":

@@ -83,13 +83,13 @@ class ForceSampler:
         Args:
             contacts: All of the cycle; only a cycle with exactly one is used.
             scans: What was measured, (n_scans,) changes against the quiet skin.
-            force: Reading of the load cell at that moment (N); below 0.1, or NaN, it measures no press.
+            force: Reading of the load cell at that moment (N); below 0.1, or not finite, it measures no press.
             auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 
         Returns:
             Whether a sample was taken.
         """
-        if len(contacts) != 1 or not force >= _LEAST:
+        if len(contacts) != 1 or not _LEAST <= force < np.inf:
             self._seen.clear()
             return False
         (contact,) = contacts
@@ -132,14 +132,16 @@ def read_table(path: Path, columns: Sequence[str]) -> Floats:
         DataError: If it cannot be read, a column is missing, or an entry is not a number.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = csv.DictReader(file)
-            if missing := [name for name in columns if name not in (rows.fieldnames or ())]:
-                raise DataError(f"{path} has no column {missing[0]}; it needs {', '.join(columns)}")
-            table = [[float(row[name]) for name in columns] for row in rows]
-    except (OSError, UnicodeError) as error:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            header = [name.strip() for name in next(csv.reader(file), [])]
+            rows = list(csv.DictReader(file, header))
+    except (OSError, UnicodeError, csv.Error) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    except (ValueError, TypeError, csv.Error) as error:
+    if missing := [name for name in columns if name not in header]:
+        raise DataError(f"{path} has no column {missing[0]}; it needs {', '.join(columns)}")
+    try:
+        table = [[float(row[name]) for name in columns] for row in rows]
+    except (ValueError, TypeError) as error:
         raise DataError(f"{path}: {error}; every row needs numbers for {', '.join(columns)}") from error
     found = np.array(table, float).reshape(-1, len(columns))
     if not len(found) or not np.isfinite(found).all():

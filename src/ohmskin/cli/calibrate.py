@@ -34,6 +34,7 @@ _TIP = 8e-3  # m, radius of the virtual finger
 _IDLE = 30_000  # cycles without a steady press, some minutes, after which we give up
 _WEIGHTS, _PLACES = (100.0, 200.0, 400.0, 700.0, 1000.0), 5  # g, unless given
 _TOPIC, _SAMPLES = "/wrench", 10  # likewise
+_GAP = 1.0  # s between rows of a table of forces, and over five times the usual, within which no force is known
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
 
@@ -166,12 +167,18 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
         raise OhmskinError(
             f"{force_from}: row {row} is at {times[row - 1]:g} s, not after the row before; sort the rows"
         )
+    steps = np.diff(times)
+    gaps = steps > max(_GAP, 5 * float(np.median(steps))) if len(steps) else steps > 0
+    if gaps.any():
+        say(f"note: no force is known within gaps of {force_from}, which are up to {steps.max():.3g} s long")
     known, last = None, 0.0
     for cycle in watched(reimage(file, mode=mode, skin=skin)):
         known, mode, last = cycle.known, cycle.touch.mode.name, cycle.time
         scans = tuple(map(known.difference, cycle.touch.percept.frames))
         beside = cycle.touch.percept.frames[-1].auxiliary
         force = abs(float(np.interp(cycle.time, times, forces, left=np.nan, right=np.nan)))
+        if gaps.any() and gaps[np.clip(np.searchsorted(times, cycle.time) - 1, 0, len(gaps) - 1)]:
+            force = np.nan
         sampler.add(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
     if known is None:
         raise OhmskinError(f"{file} has no frame after its calibration")

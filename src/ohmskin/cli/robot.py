@@ -65,6 +65,9 @@ def robot(
     for name, value, low in (("pokes", pokes, 1), ("hugs", hugs, 0), ("self-touches", self_touches, 0)):
         if not low <= value <= _MOST:
             raise OhmskinError(f"--{name} is {value}; choose {low} to {_MOST}")
+    for name, limit, unit in (("max-force", max_force, "N"), ("max-reaction", max_reaction, "s")):
+        if not limit > 0:  # NaN likewise
+            raise OhmskinError(f"--{name} is {limit} {unit}; choose more than 0, or leave it out for no limit")
     if not 0 <= free <= 36_000:
         raise OhmskinError(f"--free is {free} s; choose 0 to 36000")
     if body and skin:
@@ -75,7 +78,10 @@ def robot(
             raise OhmskinError(f"there is no folder {path.parent}; create it first")
     loaded = Body.load(body) if body else Skin.load(skin or "paper")
     from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
+    from ohmskin.robot.strategies import STRATEGIES
 
+    if strategy not in STRATEGIES:
+        raise OhmskinError(f"--strategy is {strategy!r}; choose from {', '.join(STRATEGIES)}")
     if video or picture:
         from ohmskin.robot.display import check_display
 

@@ -283,5 +283,6 @@ def _lock(path: Path, name: str) -> int:
         pass
     except OSError as error:
         os.close(file)
-        raise PublishError(f"another skin publishes as {name!r} here; choose another name with --name") from error
+        advice = "wait until it has ended, or end it" if "." in name else "end it, or choose another name with --name"
+        raise PublishError(f"another program writes {name!r} here; {advice}") from error
     return file

@@ -18,7 +18,6 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
-#include <iomanip>
 #include <list>
 #include <locale>
 #include <map>
@@ -38,9 +37,7 @@
 namespace ohmskin {
 
 // A board that cannot be used: of another version, not one's own, or of a name that is none.
-struct Error : std::runtime_error {
-    using std::runtime_error::runtime_error;
-};
+struct Error : std::runtime_error { using std::runtime_error::runtime_error; };
 
 using Vector = std::array<double, 3>;
 using Matrix = std::array<Vector, 3>;
@@ -93,8 +90,7 @@ struct Contacts {
     std::int64_t stamp = 0;          // the same by the calendar (ns since 1970)
     std::vector<PatchState> patches; // how fresh each patch is
     std::vector<PlacedContact> contacts;   // those of a patch strongest first
-    // Seconds since then, now: a silent patch makes all of it old.
-    double age() const { return now() - time; }
+    double age() const { return now() - time; }  // seconds since then: a silent patch makes all of it old
 };
 
 namespace detail {
@@ -102,8 +98,7 @@ namespace detail {
 constexpr std::size_t kHead = 64, kSlot = 16, kSlots = 8;
 constexpr double kLookAgain = 0.05;  // seconds without anything new after which a reader looks for a new board
 
-// CRC-32 as zlib has it, continued from `crc`.
-inline std::uint32_t crc32(const void* data, std::size_t size, std::uint32_t crc = 0) {
+inline std::uint32_t crc32(const void* data, std::size_t size, std::uint32_t crc = 0) {  // as zlib has it, continued
     static const auto table = [] {
         std::array<std::uint32_t, 256> made{};
         for (std::uint32_t i = 0; i < 256; ++i) {
@@ -117,10 +112,7 @@ inline std::uint32_t crc32(const void* data, std::size_t size, std::uint32_t crc
     return ~crc;
 }
 
-struct Unmap {
-    void operator()(char* memory) const { munmap(memory, size); }
-    std::size_t size;
-};
+struct Unmap { void operator()(char* memory) const { munmap(memory, size); } std::size_t size; };
 
 template <class T>
 T read(const char*& at) {
@@ -150,12 +142,12 @@ struct Json {
             for (int count = 0; next() != end; ++count) {
                 std::string key = std::to_string(count);
                 if (count) take(',');
-                if (kind == '{' && in >> std::quoted(key)) take(':');
+                if (kind == '{') key = text(), take(':');
                 value(path + "/" + key, depth + 1);
             }
             take(end);
         } else if (kind == '"') {
-            in >> std::quoted(texts[path]);
+            texts[path] = text();
         } else if (kind == '-' || std::isdigit(kind)) {
             in >> numbers[path];
         } else {
@@ -163,8 +155,29 @@ struct Json {
         }
     }
     int next() { return (in >> std::ws).peek(); }
-    void take(int wanted) {
-        if (char found; !(in >> found) || found != wanted) throw std::out_of_range("no JSON");
+    static void check(bool right) { if (!right) throw std::out_of_range("no JSON"); }
+    void take(int wanted) { check((in >> std::ws).get() == wanted); }
+    std::string text() {  // in UTF-8, without JSON's escapes
+        constexpr std::string_view marks = "\"\\/bfnrt", meant = "\"\\/\b\f\n\r\t";
+        std::string told;
+        take('"');
+        for (char c = 0; in.get(c) && c != '"';)
+            if (c == '\\' && in.get(c)) told += c == 'u' ? utf8(unit()) : std::string(1, meant.at(marks.find(c)));
+            else told += c;
+        return check(bool(in)), told;
+    }
+    std::uint32_t unit() {  // of UTF-16, four hexadecimal digits
+        char digits[5] = {};
+        check(in.read(digits, 4) && std::strspn(digits, "0123456789abcdefABCDEF") == 4);
+        return std::uint32_t(std::strtoul(digits, nullptr, 16));
+    }
+    std::string utf8(std::uint32_t code) {
+        if (code >> 10 == 0xD800 >> 10)  // whose other half follows
+            take('\\'), take('u'), code = 0x10000 + ((code & 0x3FF) << 10 | (unit() & 0x3FF));
+        const int more = (code >= 0x80) + (code >= 0x800) + (code >= 0x10000);
+        std::string told(1, char(more ? 0x780 >> more | code >> 6 * more : code));
+        for (int k = more; k--;) told += char(0x80 | (code >> 6 * k & 0x3F));
+        return told;
     }
     Vector vector(const std::string& path) const {
         return {numbers.at(path + "/0"), numbers.at(path + "/1"), numbers.at(path + "/2")};
@@ -202,8 +215,7 @@ class Board {
             if (stated != number || length > slot_bytes_ - detail::kSlot) continue;
             std::memcpy(copy_.data(), at, length);  // what is written meanwhile, the checksum tells
             if (detail::crc32(copy_.data(), length, detail::crc32(&number, sizeof number)) != checksum) continue;
-            number_ = number;
-            look_at_ = now() + detail::kLookAgain;
+            number_ = number, look_at_ = now() + detail::kLookAgain;
             return {copy_.data(), length};
         }
         return {};  // nothing new, or the writer overtook us time and again: it will be here at the next look
@@ -244,8 +256,7 @@ class Board {
         }
         memory_ = {static_cast<char*>(memory), {size}};
         slots_at_ = slots_at, slot_bytes_ = slot_bytes, number_ = 0;
-        setup_ = {memory_.get() + detail::kHead, setup};
-        identity_ = identity;
+        setup_ = {memory_.get() + detail::kHead, setup}, identity_ = identity;
         copy_.resize(slot_bytes);
     }
     std::string folder_, path_;
@@ -264,14 +275,10 @@ class Board {
 class Client {
   public:
     explicit Client(const std::string& name = "skin") : board_(name) {
-        newest_.patches.reserve(64);
-        newest_.contacts.reserve(256);
+        newest_.patches.reserve(64), newest_.contacts.reserve(256);
     }
     // The newest contacts, returned before or not; null before there is anything. Never waits.
-    const Contacts* newest() {
-        look();
-        return newest_.boot ? &newest_ : nullptr;
-    }
+    const Contacts* newest() { return look(), newest_.boot ? &newest_ : nullptr; }
     // The next that was not given before; null if nothing comes within so many seconds.
     const Contacts* wait(double timeout) {
         const timespec nap{0, 100'000};  // a look takes some 30 ns
@@ -295,20 +302,14 @@ class Client {
         for (std::size_t i = 0; right && i < n[1]; ++i, right = which < n[0])
             std::memcpy(&which, at + contacts_at + i * contact_bytes, sizeof which);
         if (!right) throw Error("a record on " + board_.path() + " cannot be read; is its writer of another version?");
-        newest_.boot = returned_boot_;
-        newest_.sequence = detail::read<std::uint64_t>(at);
-        newest_.time = detail::read<double>(at);
-        newest_.stamp = detail::read<std::int64_t>(at);
-        at += sizeof n;
-        newest_.patches.clear();
+        newest_.boot = returned_boot_, newest_.sequence = detail::read<std::uint64_t>(at);
+        newest_.time = detail::read<double>(at), newest_.stamp = detail::read<std::int64_t>(at), at += sizeof n;
+        newest_.patches.clear(), newest_.contacts.clear();
         for (const Patch& patch : patch_lists_.back()) {
             PatchState& seen = newest_.patches.emplace_back(PatchState{patch.name, patch.frame, 0, 0, 0, {}});
-            seen.sequence = detail::read<std::uint64_t>(at);
-            seen.time = detail::read<double>(at);
-            seen.stamp = detail::read<std::int64_t>(at);
-            std::memcpy(seen.mode.data(), at, 16), at += 16;
+            seen.sequence = detail::read<std::uint64_t>(at), seen.time = detail::read<double>(at);
+            seen.stamp = detail::read<std::int64_t>(at), std::memcpy(seen.mode.data(), at, 16), at += 16;
         }
-        newest_.contacts.clear();
         for (std::uint32_t i = 0; i < n[1]; ++i) newest_.contacts.push_back(contact(at));
         return true;
     }
@@ -316,7 +317,7 @@ class Client {
         const Patch& patch = patch_lists_.back()[detail::read<std::uint32_t>(at)];
         const auto id = detail::read<std::int32_t>(at);
         const auto v = detail::read<std::array<double, 25>>(at);  // in the order of `ohmskin.client.fields`
-        const auto maybe = [&v](int i) { return std::isnan(v[i]) ? std::nullopt : std::optional(v[i]); };
+        const auto maybe = [&v](std::size_t i) { return std::isnan(v[i]) ? std::nullopt : std::optional(v[i]); };
         PlacedContact c{};
         c.id = id, c.patch = patch.name, c.frame = patch.frame;
         c.position = {v[0], v[1], v[2]}, c.normal = {v[3], v[4], v[5]};
@@ -336,8 +337,7 @@ class Client {
             const std::string &name = setup.texts.at(at + "/name"), &frame = setup.texts.at(at + "/frame");
             patches.push_back({name, frame, setup.vector(at + "/position"), axes, newtons});
         }
-        patch_lists_.push_back(std::move(patches));
-        returned_boot_ = board_.boot();
+        patch_lists_.push_back(std::move(patches)), returned_boot_ = board_.boot();
     } catch (const std::out_of_range&) {
         throw Error("the setup of " + board_.path() + " lacks its patches; is its writer of another version?");
     }

@@ -41,28 +41,28 @@ def _data_space(matrix: sp.csc_array, rows: Floats, noise: float) -> tuple[Float
     return smoothed, regularised(rows @ smoothed, noise)
 
 
-def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, held: Bools | None = None) -> Floats:
+def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, fixed: Bools | None = None) -> Floats:
     """The same with w >= 0, exactly, by the primal-dual active set method (Hintermueller, Ito and Kunisch 2002).
 
-    Unknowns are held at zero where their gradient says so, and solved for elsewhere, until the set repeats. Where noise
-    is small against the data it may go in circles; from there on unknowns are released one by one (Lawson and Hanson
-    1974).
+    Unknowns are fixed at zero where their gradient says so, and solved for elsewhere, until the set repeats. Where
+    noise is small against the data it may go in circles; from there on unknowns are released one by one (Lawson and
+    Hanson 1974).
 
     Args:
         matrix, rows, volts, noise: As for `penalised`.
-        held: (n,) which unknowns are expected to be zero, such as those of a similar problem.
+        fixed: (n,) which unknowns are expected to be zero, such as those of a similar problem.
     """
 
     def slope(w: Floats) -> Floats:
         return np.asarray(matrix @ w - rows.T @ (volts - rows @ w) / noise**2)
 
-    held = penalised(matrix, rows, volts, noise) < 0 if held is None else held
+    fixed = penalised(matrix, rows, volts, noise) < 0 if fixed is None else fixed
     for _ in range(_ROUNDS):
-        w = penalised(matrix, rows, volts, noise, ~held)
-        wanted = np.where(held, slope(w) > 0, w < 0)
-        if np.array_equal(wanted, held):
+        w = penalised(matrix, rows, volts, noise, ~fixed)
+        wanted = np.where(fixed, slope(w) > 0, w < 0)
+        if np.array_equal(wanted, fixed):
             return np.maximum(w, 0.0)
-        held = wanted
+        fixed = wanted
     w = np.maximum(w, 0.0)
     free, released, flat = w > 0, -1, _FLAT * float(np.abs(rows.T @ volts).max()) / noise**2
     for _ in range(_RELEASED):

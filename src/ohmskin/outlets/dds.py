@@ -185,5 +185,6 @@ def _message(topic_type: str) -> Any:
         return sample
 
     kind.serialize, kind.deserialize = serialize, staticmethod(deserialize)
+    kind.deserialize_key = kind.deserialize  # of the sample, not valid, that tells that a publisher has left
     kind.__init__ = lambda self: None
     return kind

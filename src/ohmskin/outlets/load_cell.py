@@ -1,5 +1,6 @@
 """Forces that others measure: a load cell on a serial line, a force sensor of ROS 2."""
 
+import logging
 import math
 import re
 import threading
@@ -8,12 +9,21 @@ from collections.abc import Callable
 import serial
 
 from ohmskin.client.cdr import CdrDecoder
-from ohmskin.errors import DataError, DeviceLost, PublishError
+from ohmskin.errors import DataError, DeviceLost, PublishError, shown
 from ohmskin.outlets.joints import subscribe
 from ohmskin.outlets.outlet import check_outlet
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_LONGEST = 200  # bytes of a line
+log = logging.getLogger(__name__)
+
+_FORCE = re.compile(
+    r"(?!.*(?i:err|fail|fault|overl))"  # a number behind such a word is a code
+    r"(?:.*?(?:[\s;:=]|(?<!\d),))?"  # a comma between digits may be a decimal one: such a line has no force
+    r"([-+]?)\s*((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*N?",
+    re.ASCII,
+)
+_ENDS = re.compile(rb"[\r\n]+")
+_LONGEST = 200  # bytes at the end of a line that are looked at
+_RULE = "lines must end with a number of newtons, such as 12.5, F=12.5 or 12.5 N (decimal point); others are not used"
 _BAUD = re.compile(r"serial://([^?]+)(?:\?baud=(\d+))?")
 
 
@@ -21,8 +31,9 @@ def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> 
     """Tell every force (N) of a source from now on; gives what ends that.
 
     Args:
-        source: ``serial://PORT``, with ``?baud=`` unless it is 115200, whose lines end with a number of newtons; or
-            ``zenoh[:PLACE]`` or ``dds[:INTERFACE]``, where ROS 2 publishes a `geometry_msgs/msg/WrenchStamped`.
+        source: ``serial://PORT``, with ``?baud=`` unless it is 115200, whose lines end with a number of newtons, as
+            `force_of` reads them, a first other one being logged; or ``zenoh[:PLACE]`` or ``dds[:INTERFACE]``, where
+            ROS 2 publishes a `geometry_msgs/msg/WrenchStamped`.
         topic: Its topic.
         report: Called in a thread.
 
@@ -48,6 +59,18 @@ def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> 
     return subscribe(source, topic, "geometry_msgs/WrenchStamped", None, take)[1]
 
 
+def force_of(line: str) -> float | None:
+    """The force (N) that a load cell's line ends with, such as ``12.5``, ``F=-4.5e0 N`` or ``ST, + 3.25``; else None.
+
+    Args:
+        line: Without blanks round it. Before the number comes a blank, ``;``, ``:``, ``=``, or a comma that follows no
+            digit directly; after it ``N`` or nothing. A line that tells of an error has no force.
+    """
+    found = _FORCE.fullmatch(line)
+    force = float(found[1] + found[2]) if found else math.inf
+    return force if math.isfinite(force) else None
+
+
 def _listen_to_line(source: str, report: Callable[[float], None]) -> Callable[[], None]:
     found = _BAUD.fullmatch(source)
     if found is None:
@@ -56,19 +79,23 @@ def _listen_to_line(source: str, report: Callable[[float], None]) -> Callable[[]
         line = serial.serial_for_url(found[1], baudrate=int(found[2] or 115200), timeout=0.1)
     except (serial.SerialException, OSError, ValueError) as error:
         raise DeviceLost(f"cannot open the load cell at {found[1]}: {error}") from error
-    over = threading.Event()
+    port, over = found[1], threading.Event()
 
     def listen() -> None:
-        text = b""
+        text, told = b"", False
         while not over.is_set():
             try:
                 text += line.read_until(b"\n", _LONGEST)  # or what came of a line in time
             except (serial.SerialException, OSError):  # unplugged: the last reading grows old
                 return
-            if text.endswith(b"\n") or len(text) >= _LONGEST:
-                if numbers := _NUMBER.findall(text.decode("ascii", "replace")):
-                    report(float(numbers[-1]))
-                text = b""
+            *lines, text = _ENDS.split(text)
+            text = text[-_LONGEST:]
+            for one in [part.decode("ascii", "replace").strip() for part in lines]:
+                if (force := force_of(one)) is not None:
+                    report(force)
+                elif one and not told:
+                    told = True
+                    log.warning("no force in the line %s of %s; %s", shown(one), port, _RULE)
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()

@@ -1,6 +1,7 @@
 """A skin on a geom of any MuJoCo model: frames, images and contacts that a real one would give, in this process."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -74,19 +75,18 @@ class SkinSensor(Closing):
         self._mode, drive = mode, drive_of(known[mode], skin)
         self.pattern: DrivePattern = drive.next((), 0)
         self.period = sum(skin.cost.time(pattern) for pattern in drive.patterns[: drive.scans])
-        self._device = _InProcess(BatchSkin(skin, seed, faults))
+        self._seed, self._device = seed, _InProcess(BatchSkin(skin, seed, faults))
         self._engine: Engine | None = None
         self.quiet: Floats = self.voltages([()] * 32).mean(axis=0)
 
     def __call__(self, data: Any) -> Touch:
         """What the skin feels now: one frame of the real loop, with its contacts (on the sheet), image and findings.
 
-        The first call calibrates the loop on the untouched skin, which takes some seconds.
+        The first call calibrates the loop on the untouched skin, which takes some seconds. It does so with noise of its
+        own, so that what is felt after a `reset` is the same before and after.
         """
         if self._engine is None:
-            self._device.presses = ()
-            self._engine = Engine(lambda: self._device, self.skin, self._mode)
-            self._engine.calibrate()
+            self._engine = self._calibrated()
         self._device.presses = self.presses(data)
         touch = self._engine.step()
         assert touch is not None  # this device is never lost
@@ -139,6 +139,19 @@ class SkinSensor(Closing):
         """End the loop. Safe to call twice."""
         if self._engine is not None:
             self._engine.close()
+
+    def _calibrated(self) -> Engine:
+        """The loop, calibrated on a copy of the untouched skin: clock and noise of the skin itself do not move."""
+        felt, self._device.presses = self._device.virtual, ()
+        self._device.virtual = copy(felt)
+        self._device.virtual.reset(self._seed)
+        try:
+            engine = Engine(lambda: self._device, self.skin, self._mode)
+            engine.calibrate()
+        finally:
+            self._device.virtual = felt
+        engine.forget()
+        return engine
 
     def _check_fit(self) -> None:
         x0, y0, x1, y1 = self.skin.domain.bounds
