@@ -4,9 +4,8 @@ import json as json_module
 import sys
 from collections.abc import Sequence
 from itertools import islice
+from math import sqrt
 from pathlib import Path
-
-import numpy as np
 
 from ohmskin.cli.options import Flag, check_picture, check_recording, watched
 from ohmskin.client.fields import as_json
@@ -100,7 +99,7 @@ def image(
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem}".strip()
     limit = full_scale(percept)
-    noise = known.noise * (1 if len(recording.quiet) > 1 else np.sqrt(2))  # of a single one, not of a difference
+    noise = known.noise * (1 if len(recording.quiet) > 1 else sqrt(2))  # of a single one, not of a difference
     scans = [known.difference(shown)]
     needed = {} if match.doubtful else evidence(known.model, noise, scans, noise_freedom(recording.quiet))
     how = {"fraction": description.imaging.fraction, "dip": description.imaging.dip}

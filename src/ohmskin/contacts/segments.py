@@ -107,7 +107,7 @@ def evidence(
     least = left(free.reconstruct(*scans))
     turned = [replace(scan, volts=-scan.volts) for scan in scans]
     without = {1: left(risen.reconstruct(*turned), -1), -1: left(risen.reconstruct(*scans))}
-    needed = min(by_noise / power + _MODEL, 1.0)
+    needed = min(float(by_noise) / power + _MODEL, 1.0)
     lost = {sign: (one - least) / power for sign, one in without.items()}
     undecided = max(lost.values()) <= needed < 1 - least / power
     return {sign: Evidence(one, needed, undecided) for sign, one in lost.items()}
