@@ -267,7 +267,7 @@ def test_no_positive_image_has_a_lower_cost_than_that_of_total_variation() -> No
     image = TotalVariation(model(), noise, 0.5, outline=0.01, positive=True, rounds=100).reconstruct(difference)
     means, penalty = triangle_means(model().mesh), Variation(model().mesh, 0.5, 0.01)
     relative = jacobian() @ means
-    nodal = np.maximum(np.linalg.lstsq(means.toarray(), image.values)[0], 0.0)
+    nodal = np.maximum(np.linalg.lstsq(means.toarray(), image.values, rcond=None)[0], 0.0)
 
     def cost(w: np.ndarray) -> tuple[float, np.ndarray]:
         left = difference.volts - relative @ w
