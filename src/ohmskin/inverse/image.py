@@ -37,10 +37,15 @@ class Image:
         the largest share of an element."""
         if (shares := self.shares) is None:
             return self
-        largest = np.asarray(shares.argmax(axis=1)).ravel()
-        return Image(
-            shares @ self.values, lambda elements: self.noise_std(largest[np.asarray(elements)]), self.logarithmic
-        )
+
+        def noise_std(elements: ArrayLike) -> Floats:
+            entries = shares.tocoo()  # each element has one at least
+            order = np.lexsort((entries.data, entries.row))
+            last = np.flatnonzero(np.diff(entries.row[order], append=-1))
+            largest = entries.col[order][last]
+            return self.noise_std(largest[np.asarray(elements)])
+
+        return Image(shares @ self.values, noise_std, self.logarithmic)
 
     @property
     def contrast(self) -> Floats:
