@@ -71,8 +71,10 @@ def test_each_rule_comes_near_the_oracle(rule: str, worst: float) -> None:
 
 @pytest.mark.parametrize("rule", ["cross-validation", "evidence", "discrepancy", "l-curve"])
 def test_a_mean_that_is_not_penalised_has_no_part_in_what_amplitudes_are_tried(rule: str) -> None:
-    free = GaussNewton(estimator().model, NOISE, "laplacian", amplitude=0.2)
-    difference = Difference(PATTERN, CURRENTS, truth(3)[1].volts)
+    noise, modes = NOISE / 300, estimator().modes
+    free = GaussNewton(estimator().model, noise, "laplacian", amplitude=0.2)
+    volts = CURRENT * modes.rows(PATTERN) @ truth(3)[0] + noise * np.random.default_rng(3).normal(size=PATTERN.n_meas)
+    difference = Difference(PATTERN, CURRENTS, volts)
     choice, wide = (choose(rule, free, difference, amplitudes=tried) for tried in (None, np.geomspace(1e-6, 10, 141)))
     assert choice.amplitudes[5] < choice.amplitude < choice.amplitudes[-5]
     assert choice.amplitude == pytest.approx(wide.amplitude, rel=0.2)
