@@ -17,7 +17,9 @@ from recordings import SKIN, Bench, record_press, some_frames
 from waiting import until
 
 import ohmskin as ohm
-from ohmskin.errors import DataError, PatternError
+from ohmskin.cli.loop import open_loop
+from ohmskin.cli.options import AS_THE_MODE, Stop
+from ohmskin.errors import DataError, OhmskinError, PatternError
 from ohmskin.mcap import RecordingReader, Role, WriterPipe, recover
 from ohmskin.mcap.container import Container
 from ohmskin.mcap.messages import encode_frame, encode_pattern
@@ -175,6 +177,20 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
     with RecordingReader(path) as reader:
         assert reader.notes == ()
         assert [reader.frames[k].sequence for k in range(len(reader.frames))] == [frame.sequence for frame in frames]
+
+
+def test_a_command_whose_recording_ends_on_a_full_disk_fails(tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    with (
+        pytest.raises(OhmskinError, match=rf"{re.escape(str(file))}: \d+ frames, .*recover.*repairs it"),
+        open_loop("virtual:", "", "12B", AS_THE_MODE, print, file) as loop,
+    ):
+        loop.engine.calibrate()
+        writer = next(child for child in psutil.Process().children() if "ohmskin.mcap" in str(child.cmdline()))
+        resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
+        loop.run(Stop(), 3.0)
+    with RecordingReader(file) as reader:
+        assert len(reader.frames) > 0
 
 
 def test_room_that_comes_back_is_used_bit_by_bit_and_the_frames_told_are_those_in_the_file(tmp_path: Path) -> None:

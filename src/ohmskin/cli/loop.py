@@ -113,6 +113,7 @@ def open_loop(
     """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
 
     Messages of the engine go to `notify`, a summary of the recording to `out` at the end, standard output unless given.
+    One that could not be written to its end raises OhmskinError there.
     While all goes well, a `quiet` one reports nothing of the recording. `starting` gets what is done before there is a
     loop, and which share of it. A loop without a `mode` and a recording may begin `at_once`, in another mode than the
     default one while that is compiled.
@@ -141,8 +142,13 @@ def open_loop(
             recorder.note(sentence)
         notify(sentence)
 
-    def summarise(made: Recorder) -> None:
-        print(_summary(made.path, made.close()), file=out, flush=True)
+    def summarise(failed: type[BaseException] | None, *_: object) -> None:
+        assert recorder is not None
+        progress = recorder.close()
+        summary = _summary(recorder.path, progress)
+        if progress.trouble and failed is None:
+            raise OhmskinError(summary)
+        print(summary, file=out, flush=True)
 
     with ExitStack() as stack:
         opened, description = open_skin(device, skin, meanwhile=meanwhile)
@@ -154,7 +160,7 @@ def open_loop(
             except BaseException:
                 opened.close()
                 raise
-            stack.callback(summarise, recorder)
+            stack.push(summarise)
         if apart and not compilations and not isinstance(opened, ReplayDevice):
             compilations.append(stack.enter_context(Compilation()))
         engine = stack.enter_context(Engine(open_device, description, mode, report, *compilations, **asdict(imaging)))
