@@ -382,3 +382,6 @@ def test_plugins_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch
         assert math.isclose(device.scan(TWO).currents[0], 2e-3)
     with pytest.raises(DeviceError, match="lacks a card"):
         mux_and_daq.open_rig("rig:/dev/ttyUSB0")
+    monkeypatch.setattr(mux_and_daq, "open_simulated", lambda url: {}["card"])
+    with pytest.raises(DeviceError, match=r"rig:simulated: the driver mux_and_daq:open_simulated .* KeyError: 'card'"):
+        connect("rig:simulated")

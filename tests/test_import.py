@@ -244,7 +244,7 @@ def test_a_table_with_a_pattern_beside_it(tmp_path: Path) -> None:
     recording = read_recording(tmp_path / "a.csv")
     assert recording.frames[0].voltages.tolist() == [0.11, 0.21]
     assert recording.frames[0].currents.tolist() == [5e-3, 5e-3]
-    assert recording.notes == ("the file does not name its skin: name one",)
+    assert (recording.skin, recording.notes) == ("", ())
     (tmp_path / "a.pattern.csv").write_text("# First: 1\nsource,sink,plus,minus\n1,2,3,4\n2,3,4,1\n")
     from_one = read_recording(tmp_path / "a.csv")
     assert from_one.frames[0].pattern == recording.frames[0].pattern

@@ -104,6 +104,14 @@ def test_what_makes_no_sense_is_told_once_and_not_used(
     assert received(boards) is not None
 
 
+def test_messages_that_are_wrong_in_ever_new_ways_do_not_fill_the_log(
+    merger: JointMerger, caplog: pytest.LogCaptureFixture
+) -> None:
+    for wrong in (math.nan, math.inf, -math.inf):
+        merger.take(message(["elbow"], [wrong]))
+    assert caplog.text.count("joint states are ignored") == 1
+
+
 def test_nodes_are_heard_over_zenoh(boards: BoardReader) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -99,6 +99,13 @@ def test_a_world_link_may_carry_the_robot(tmp_path: Path) -> None:
     assert load(tmp_path, CHAIN.replace("</robot>", world)).root == "world"
 
 
+def test_the_axis_of_a_joint_that_does_not_move_does_not_matter(tmp_path: Path) -> None:
+    still = CHAIN.replace('"revolute"', '"fixed"')
+    np.testing.assert_array_equal(
+        load(tmp_path, still.replace('"0 3 4"', '"0 0 0"')).links["arm"], load(tmp_path, still).links["arm"]
+    )
+
+
 def test_a_joint_that_mimics_another_follows_it(tmp_path: Path) -> None:
     """Also through a third one, wherever they are in the file, and whatever is said of its own position."""
     finger = """<link name="tip"/><joint name="curl" type="revolute"><parent link="hand"/><child link="tip"/>

@@ -172,7 +172,9 @@ def _joints(names: list[str], found: list[Element]) -> dict[str, Joint]:
         children.add(child)
         given, limit = joint.find("axis"), joint.find("limit")
         axis = numbers_of("1 0 0" if given is None else given.get("xyz", ""), 3, f"the axis of joint {name!r}")
-        if kind not in (*_TURNS, *_SLIDES, *_STILL) or not np.linalg.norm(axis) > 0:
+        if kind in _STILL:
+            axis = np.array([1.0, 0.0, 0.0])  # whatever stands there
+        elif kind not in (*_TURNS, *_SLIDES) or not np.linalg.norm(axis) > 0:
             raise SkinError(
                 f"joint {name!r} is of type {kind!r} about {axis}; choose from {', '.join(_TURNS + _SLIDES + _STILL)}"
             )

@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from ohmskin.device.driver import Device
-from ohmskin.errors import DeviceError
+from ohmskin.errors import DeviceError, OhmskinError
 
 GROUP = "ohmskin.devices"
 DRIVERS = {
@@ -40,14 +40,27 @@ def connect(url: str, **options: Any) -> Device:
         options: What this driver takes beside the address.
 
     Raises:
-        DeviceError: If there is no such driver, it has no such option, or the address cannot be read.
+        DeviceError: If there is no such driver, it has no such option, the address cannot be read, or the driver of
+            another package fails.
         DeviceLost: If nothing answers.
     """
     known, scheme = drivers(), scheme_of(url)
-    opener: Callable[..., Device] = EntryPoint(scheme, known[scheme], GROUP).load()
+    try:
+        return _opened(EntryPoint(scheme, known[scheme], GROUP), url, options)
+    except OhmskinError:
+        raise
+    except Exception as error:  # whatever another package may raise
+        if scheme in DRIVERS:
+            raise
+        why = f"{type(error).__name__}: {error}"
+        raise DeviceError(f"{url}: the driver {known[scheme]} cannot open it: {why}; ask who made it") from error
+
+
+def _opened(driver: EntryPoint, url: str, options: dict[str, Any]) -> Device:
+    opener: Callable[..., Device] = driver.load()
     parameters = list(inspect.signature(opener).parameters.values())[1:]
     if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         allowed = [parameter.name for parameter in parameters]
         if unknown := sorted(options.keys() - set(allowed)):
-            raise DeviceError(f"{scheme}: has no option {unknown[0]!r}; it takes {', '.join(allowed) or 'none'}")
+            raise DeviceError(f"{driver.name}: has no option {unknown[0]!r}; it takes {', '.join(allowed) or 'none'}")
     return opener(url, **options)

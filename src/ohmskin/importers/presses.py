@@ -176,7 +176,6 @@ def _recording(
     elif not len(quiet):
         quiet = _median(values)[None]
         notes = (*notes, "no frame of the untouched skin: the median over the presses is used")
-    notes = notes if skin else (*notes, "the file does not name its skin: name one")
     rest = tuple(pattern.frame(row, name, k) for k, row in enumerate(quiet[:_MOST_QUIET]))
     frames = tuple(pattern.frame(row, name, k) for k, row in enumerate(values))
     return Recording(rest, frames, skin, (*pattern.notes, *notes), None, places, forces, kind)

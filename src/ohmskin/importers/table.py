@@ -85,10 +85,8 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
     if len(columns) < 2 or all(is_quiet.values()):
         raise DataError(f"{path} has {len(columns)} columns of data; need at least the untouched skin's and one more")
     frames = {k: imported.frame(data.cells[:, k], str(path), k) for k in columns}
-    skin = settings.get("skin", "")
-    notes = imported.notes if skin else (*imported.notes, "the file does not name its skin: name one")
     quiet, touched = (tuple(frame for k, frame in frames.items() if is_quiet[k] is still) for still in (True, False))
-    return Recording(quiet, touched, skin, notes)
+    return Recording(quiet, touched, settings.get("skin", ""), imported.notes)
 
 
 def _parse(text: str, name: str) -> _Table:

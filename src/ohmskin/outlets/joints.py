@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 _TYPE = "sensor_msgs/JointState"
 _START_TIMEOUT = 60.0
+_REPORT_EVERY = 10.0  # s
 _OTHER_CLOCK = 10.0  # s from now, beyond which a stamp is by another clock, such as a simulation's
 
 
@@ -37,10 +38,10 @@ class JointMerger:
     def __init__(self, states: JointStates, joints: Collection[str]) -> None:
         self._states, self._joints = states, joints
         self._known: dict[str, tuple[float, float]] = {}  # position, and when it was so (s, monotonic clock)
-        self._reported = ""
+        self._report_at = 0.0  # s, monotonic clock
 
     def take(self, message: bytes, since: float = 0.0) -> None:
-        """Pass on a message (CDR) that came `since` seconds ago. One without sense is reported once, and not used.
+        """Pass on a message (CDR) that came `since` seconds ago. One without sense is not used, and reported if none was lately.
 
         All positions are as old as the oldest: of a joint that no message has, nothing is known.
         """
@@ -50,8 +51,8 @@ class JointMerger:
                 positions = {name: position for name, (position, _) in self._known.items()}
                 self._states.push(positions, time.monotonic() - min(at for _, at in self._known.values()))
         except OhmskinError as error:
-            if str(error) != self._reported:
-                self._reported = str(error)
+            if (now := time.monotonic()) >= self._report_at:
+                self._report_at = now + _REPORT_EVERY
                 log.warning("joint states are ignored: %s", error)
 
     def _decoded(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
