@@ -181,14 +181,16 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
 
 def test_a_command_whose_recording_ends_on_a_full_disk_fails(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
-    with (
-        pytest.raises(OhmskinError, match=rf"{re.escape(str(file))}: \d+ frames, .*recover.*repairs it"),
-        open_loop("virtual:", "", "12B", AS_THE_MODE, print, file) as loop,
-    ):
-        loop.engine.calibrate()
-        writer = next(child for child in psutil.Process().children() if "ohmskin.mcap" in str(child.cmdline()))
-        resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
-        loop.run(Stop(), 3.0)
+
+    def record() -> None:
+        with open_loop("virtual:", "", "12B", AS_THE_MODE, print, file) as loop:
+            loop.engine.calibrate()
+            writer = next(child for child in psutil.Process().children() if "ohmskin.mcap" in str(child.cmdline()))
+            resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
+            loop.run(Stop(), 3.0)
+
+    with pytest.raises(OhmskinError, match=rf"{re.escape(str(file))}: \d+ frames, .*recover.*repairs it"):
+        record()
     with RecordingReader(file) as reader:
         assert len(reader.frames) > 0
 

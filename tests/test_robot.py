@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 from types import SimpleNamespace
 from typing import Any
 
@@ -135,6 +137,35 @@ def test_places_go_to_the_world_and_back_and_kinematics_agree() -> None:
         local = placed.patch.place(*placed.skin.chart.points([place])[0])
         assert robot.links[placed.patch.frame] @ [*local, 1] == pytest.approx([*point, 1], abs=1e-9)
         assert np.linalg.norm(normal) == pytest.approx(1)
+
+
+def test_joints_that_mimic_others_move_with_them(tmp_path: Path) -> None:
+    copytree(HUMANOID.parent, tmp_path / "body")
+    file, robot = tmp_path / "body" / HUMANOID.name, tmp_path / "body" / "robot.urdf"
+    file.write_text(re.sub(r"(?m)^left_elbow.*$", "", file.read_text()))
+    elbow = '<joint name="left_elbow" type="revolute">'
+    mimic = '<mimic joint="left_shoulder_pitch" multiplier="1.5" offset="-0.5"/>'
+    assert elbow in robot.read_text()
+    robot.write_text(robot.read_text().replace(elbow, elbow + mimic))
+    simulation = RobotSimulation(Body.load(file))
+    source, tied = (simulation.model.joint(name).qposadr[0] for name in ("left_shoulder_pitch", "left_elbow"))
+    aimed = simulation.data.qpos.copy()
+    assert aimed[tied] == pytest.approx(1.5 * aimed[source] - 0.5)
+    aimed[source] -= 0.3
+    simulation.aim(aimed)
+    simulation.advance(2.0, np.array([0.0, 0.0, 9.0]))
+    reached = simulation.data.qpos
+    assert reached[source] == pytest.approx(aimed[source], abs=0.02)
+    assert reached[tied] == pytest.approx(1.5 * reached[source] - 0.5, abs=2e-3)
+    for name, pose in simulation.posed().links.items():
+        assert simulation.data.body(name).xpos == pytest.approx(pose[:3, 3], abs=2e-3)
+    number = next(k for k, placed in enumerate(simulation.body.patches) if placed.patch.frame == "left_forearm")
+    place = np.mean(np.reshape(simulation.body.patches[number].skin.domain.bounds, (2, 2)), axis=0)
+    before, normal = simulation.surface(number, place)
+    step = 2e-3 * simulation.inward_step(number, place)
+    assert step[tied] == pytest.approx(1.5 * step[source])
+    simulation.stand(simulation.data.qpos + step)
+    assert (simulation.surface(number, place)[0] - before) @ normal == pytest.approx(-2e-3, rel=0.05)
 
 
 def test_a_robot_in_curved_skins_tells_pokes_from_its_self_touches() -> None:

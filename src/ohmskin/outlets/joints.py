@@ -41,7 +41,7 @@ class JointMerger:
         self._report_at = 0.0  # s, monotonic clock
 
     def take(self, message: bytes, since: float = 0.0) -> None:
-        """Pass on a message (CDR) that came `since` seconds ago. One without sense is not used, and reported if none was lately.
+        """Pass on a message (CDR) that came `since` seconds ago. One without sense is told, unless one was lately.
 
         All positions are as old as the oldest: of a joint that no message has, nothing is known.
         """

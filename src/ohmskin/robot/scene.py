@@ -51,6 +51,7 @@ _SCENE = """
       <geom type="box" pos="0 0.012 0.12" size="0.028 0.04 0.045" material="hand" contype="0" conaffinity="0"/>
     </body>{pads}
   </worldbody>
+  <equality/>
   <actuator/>
 </mujoco>
 """
@@ -92,6 +93,11 @@ def scene(body: Body) -> str:
 
     for link in robot.links:
         make(link)
+    ties = _child(root, "equality")
+    for name, joint in robot.joints.items():
+        if joint.mimics is not None and joint.moves:
+            follows = f"{joint.offset!r} {joint.multiplier!r} 0 0 0"
+            SubElement(ties, "joint", joint1=name, joint2=joint.mimics, polycoef=follows)
     for visual in robot.visuals:
         _shell(made[visual["link"]], visual)
     for number, placed in enumerate(body.patches):

@@ -79,9 +79,14 @@ class RobotSimulation:
         self._skins = {self.model.geom(f"skin {number}").id: number for number in range(len(body.patches))}
         self.hands = (FINGER, *[PAD] * PADS)
         self._hands = {self.model.geom(f"hand {number}").id: number for number in range(len(self.hands))}
-        limits = np.array([body.robot.joints[name].limits for name in self._names]).reshape(-1, 2)
-        self.low, self.high = limits.T
-        self._still = np.array([body.robot.positions.get(name, 0.0) for name in self._names])
+        joints = [body.robot.joints[name] for name in self._names]
+        self.low, self.high = np.array([joint.limits for joint in joints]).reshape(-1, 2).T
+        self._ties, self._offsets = np.eye(len(joints)), np.array([joint.offset for joint in joints])
+        for row, joint in zip(self._ties, joints, strict=True):
+            if joint.mimics is not None:
+                row[:] = np.array(self._names) == joint.mimics
+                row *= joint.multiplier
+        self._still = self._tied(np.array([body.robot.positions.get(name, 0.0) for name in self._names]))
         self.target: Floats = self._still.copy()
         self.data.qpos[:], self.data.ctrl[:] = self._still, self._still
         mujoco.mj_forward(self.model, self.data)
@@ -126,6 +131,10 @@ class RobotSimulation:
         local = (point - link.xpos) @ link.xmat.reshape(3, 3) - placed.patch.position
         places, away = placed.skin.chart.project(np.array(placed.patch.axes) @ local)
         return places[0], float(away[0])
+
+    def _tied(self, joints: Floats) -> Floats:
+        """Positions (n_joints,) of the `joints` (rad, m), of which those that mimic others follow these."""
+        return np.asarray(self._ties @ joints + self._offsets)
 
     def advance(self, seconds: float, *tips: Floats) -> None:
         """Simulate.
@@ -221,17 +230,18 @@ class RobotSimulation:
         point, normal = self.surface(patch, place)
         link = self.model.body(self.body.patches[patch].patch.frame).id
         mujoco.mj_jac(self.model, self.data, jacobian, None, point, link)
-        along = normal @ jacobian
-        return np.asarray(-along / (along @ along + 1e-3))
+        along = normal @ jacobian @ self._ties
+        return np.asarray(self._ties @ (-along / (along @ along + 1e-3)))
 
     def aim(self, joints: Floats) -> None:
-        """Set the servos' targets, positions (n_joints,) of the `joints` (rad, m), within their limits."""
-        self.target = np.clip(joints, self.low, self.high)
+        """Set the servos' targets, positions (n_joints,) of the `joints` (rad, m), within their limits; joints that
+        mimic others follow these."""
+        self.target = np.clip(self._tied(joints), self.low, self.high)
 
     def rest(self, time: float) -> Floats:
         """Joint positions (rad, m) of the robot's own slow movement at a `time` (s)."""
         numbers = np.arange(len(self._still))
-        return np.asarray(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
+        return self._tied(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
 
 
 def above(simulation: RobotSimulation, patch: int, place: Floats, height: float, radius: float = FINGER) -> Floats:
