@@ -98,7 +98,8 @@ class SkinSensor(Closing):
         Args:
             cases: What presses in each; see `presses`.
         """
-        return np.array([frame.voltages for frame in self._device.virtual.scans(cases, self.pattern)])
+        frames = self._device.virtual.scans(cases, self.pattern)
+        return np.array([frame.voltages for frame in frames]).reshape(-1, self.pattern.n_meas)
 
     def presses(self, data: Any) -> tuple[Press, ...]:
         """What presses the skin now, on its map: every MuJoCo contact of the geom that lies on the skin."""
