@@ -257,6 +257,12 @@ def test_a_better_layout_is_found_compared_and_saved_as_a_skin_that_loads(tmp_pa
     assert len(result.stdout.strip().splitlines()) == 8
 
 
+def test_a_file_to_save_needs_a_search(tmp_path: Path) -> None:
+    result = run("--contacts", "0", "--save", "x.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--save has no effect without --optimise" in result.stderr
+
+
 def test_beside_the_bound_is_what_the_reader_reaches(tmp_path: Path) -> None:
     """A fit errs about as much as the bound at the same places, and more with more noise."""
     shares, means = [], []

@@ -1,5 +1,6 @@
 """Skins that are cut from a link's mesh by a name, a place or planes: OBJ, STL, Gmsh, URDF."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -179,6 +180,48 @@ def test_what_cannot_be_found_is_told_with_what_there_is(changed: tuple[str, str
     sheet = 'file = "robot.urdf"\nlink = "forearm"\nvisual = "shell"\nregion = "wall"'.replace(*changed)
     with pytest.raises(SkinError, match=told):
         Skin.load(skin_file(tmp_path, sheet))
+
+
+def inside_out(nodes: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    return nodes, triangles[:, ::-1]
+
+
+def not_a_number(nodes: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    return np.where(np.arange(len(nodes))[:, None] == triangles[7, 1], np.nan, nodes), triangles
+
+
+@pytest.mark.parametrize(
+    ("closed", "spoilt", "told"),
+    [
+        (False, inside_out, "clockwise seen from outside; reverse them"),
+        (True, inside_out, "clockwise seen from outside; reverse them"),
+        (False, not_a_number, r"a corner of triangle \d+ is not a finite number"),
+        (
+            False,
+            lambda nodes, triangles: (1e3 * nodes, triangles),
+            "m large, 10 m are allowed; give scale, which is 1e-3",
+        ),
+    ],
+    ids=["tube inside out", "closed and inside out", "nan", "millimetres"],
+)
+def test_a_mesh_that_would_make_a_wrong_skin_is_refused(
+    closed: bool, spoilt: Callable[[Floats, Ints], tuple[Floats, Ints]], told: str, tmp_path: Path
+) -> None:
+    nodes, named = parts()
+    triangles = np.vstack(list(named.values())) if closed else named["wall"]
+    sheet = 'file = "forearm.stl"\ncut = [[0, 0, 1, 0.08], [0, 0, -1, -0.24]]'
+    solids(tmp_path / "forearm.stl", nodes, {"wall": triangles})
+    Skin.load(skin_file(tmp_path, sheet))
+    nodes, triangles = spoilt(nodes, triangles)
+    solids(tmp_path / "forearm.stl", nodes, {"wall": triangles})
+    with pytest.raises(SkinError, match=told):
+        Skin.load(skin_file(tmp_path, sheet))
+
+
+def test_an_empty_file_has_no_triangles(tmp_path: Path) -> None:
+    (tmp_path / "forearm.stl").write_bytes(b"")
+    with pytest.raises(SkinError, match="has no triangles"):
+        Skin.load(skin_file(tmp_path, 'file = "forearm.stl"'))
 
 
 @pytest.mark.parametrize("text", ["f 1 2 3", "v 1 2\nv 3 4\n", "v a b c", "f", "v 0 0 0\nf 1 2 -7", "v 0 0 0\nf 1/x b"])

@@ -75,6 +75,8 @@ def layout(
             One that is there is kept under another name.
     """
     check_picture(output)
+    if save is not None and not optimise:
+        raise OhmskinError("--save has no effect without --optimise, whose layout it keeps; add that")
     for path in (json_file, save):
         if path is not None:
             check_writable(path)
@@ -94,7 +96,7 @@ def layout(
         current = float(np.median(described.pair_currents()))
         sheet = described.domain, described.conductivity_on, 0.75 * described.imaging.mesh_size
         search = LayoutSearch(*sheet, size, volts, count, current, described.chart.scale)
-        places = tuple((x, y) for x, y in np.round(search.best(optimise).positions, 9).tolist())
+        places = tuple((x, y) for x, y in search.best(optimise).positions.tolist())
         kept = described.electrode
         electrode = ElectrodeLayout(
             "listed", radius=kept.radius, contact_resistivity=kept.contact_resistivity, positions=places

@@ -295,4 +295,6 @@ def check_picture(path: Path) -> None:
     from ohmskin.plot.picture import FORMATS  # here: most commands draw nothing
 
     if path.suffix.lstrip(".") not in FORMATS:
-        raise DataError(f"cannot write {path}: {path.suffix!r} is not a picture format; choose .png, .pdf or .svg")
+        raise DataError(
+            f"cannot write {path}: {path.suffix!r} is not a picture format; choose .png, .pdf, .svg or .jpg"
+        )

@@ -79,7 +79,7 @@ def _others(path: str | Path) -> tuple[Floats, Ints, dict[str, Ints]]:
             if parts[number] is not None:
                 named[name].append(first + np.asarray(parts[number], np.int64))
         first += len(block.data)
-    points = np.asarray(data.points, float)
+    points = np.atleast_2d(np.asarray(data.points, float))
     nodes = np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
     return nodes, np.vstack(found), {name: np.concatenate(parts) for name, parts in named.items() if parts}
 

@@ -96,6 +96,26 @@ def closed_walks(edges: Ints) -> list[Ints]:
     return walks
 
 
+def check_outside(nodes: Floats, triangles: Ints) -> None:
+    """Raise GeometryError if triangles are clockwise seen from outside, of a closed surface or of one like a tube.
+
+    What has one rim may be a bowl, whose outside nothing tells.
+    """
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    alone = edges[~np.isin(edges @ [len(nodes), 1], edges @ [1, len(nodes)])]
+    try:
+        rims = closed_walks(alone)
+    except GeometryError:
+        return
+    first, second, third = nodes[triangles].swapaxes(0, 1)
+    volume = float(np.sum(first * np.cross(second, third)))
+    for walk in rims:  # a lid on each, of triangles about its middle
+        start, end = nodes[alone[np.isin(alone[:, 0], walk)]].swapaxes(0, 1)
+        volume += float(np.cross(end, start).sum(axis=0) @ nodes[walk[:-1]].mean(axis=0))
+    if volume < 0 and len(rims) != 1:
+        raise GeometryError("its triangles are clockwise seen from outside; reverse them: normals must point outwards")
+
+
 def split_edges(
     nodes: Floats, elements: Ints, marks: NDArray[np.bool_], size: float
 ) -> tuple[Floats, Ints, NDArray[np.bool_]]:

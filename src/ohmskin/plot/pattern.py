@@ -10,8 +10,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.tri import Triangulation
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import DataError
-from ohmskin.geometry import Mesh, mesh_domain
+from ohmskin.errors import DataError, GeometryError
+from ohmskin.geometry import Domain, Mesh, mesh_domain
 from ohmskin.geometry.periodic import folded
 from ohmskin.geometry.surface import closed_walks
 from ohmskin.geometry.wrap import cut_open, flattened, node_stretches, seam_of
@@ -56,7 +56,7 @@ class Pattern:
         places = folded(skin.electrodes.positions - shift, domain.period)
         on_seam = np.flatnonzero(places[:, 0] < 1e-9) if domain.period else np.zeros(0, int)
         places = np.vstack([places, places[on_seam] + [domain.period, 0]])
-        mesh = mesh_domain(cut_open(domain, shift[0]), float(np.sqrt(domain.area)) / _FINE, places, closest=0.02)
+        mesh = _meshed(cut_open(domain, shift[0]), places)
         stretch, laid = np.ones((mesh.n_nodes, 2)), mesh
         if not chart.flat:
             surface = mesh.mapped(lambda nodes: chart.points(nodes + shift))
@@ -91,6 +91,17 @@ class Pattern:
             for found in (self.stretch, self.stretch.prod(axis=1))
         )
         return f"{size}, not developable: wrapping changes its lengths by {lengths}, areas (in colours) by {areas}"
+
+
+def _meshed(domain: Domain, places: Floats) -> Mesh:
+    """A fine mesh with nodes at places (n, 2); finer still where it would not follow the rims of holes."""
+    size = float(np.sqrt(domain.area)) / _FINE
+    for finer in (1.0, 1.5):
+        try:
+            return mesh_domain(domain, size / finer, places, closest=0.02)
+        except GeometryError:
+            continue
+    return mesh_domain(domain, size / 2, places, closest=0.02)
 
 
 def save_pattern(path: Path, pattern: Pattern, name: str) -> None:

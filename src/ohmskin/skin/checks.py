@@ -158,7 +158,7 @@ def check_patches(patches: int, nodes: float) -> None:
         raise SkinError(f"{wide}; allowed are {_MOST_UNDER}: lower contact_layer.patch, or raise imaging.mesh_size")
     if patches > _MOST_PATCHES:
         long = f"a contact layer of {patches} patches takes the virtual skin about {1e-3 * patches:.0f} s to set up"
-        raise SkinError(f"{long}; allowed are {_MOST_PATCHES}: lower contact_layer.columns and rows")
+        raise SkinError(f"{long}; allowed are {_MOST_PATCHES}: raise contact_layer.patch, or lower columns and rows")
 
 
 def is_number(value: Any) -> bool:

@@ -13,7 +13,7 @@ from ohmskin.geometry.files import joined_nodes
 from ohmskin.geometry.holes import Hole, with_holes
 from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.regions import read_triangles
-from ohmskin.geometry.surface import cut_off, grown, pieces
+from ohmskin.geometry.surface import check_outside, cut_off, grown, pieces
 from ohmskin.geometry.wrap import Wrap
 from ohmskin.skin.checks import check_table, choice, cutouts, number, numbers, places, rows, sibling_path
 from ohmskin.skin.surface import surface_of, surface_text
@@ -103,8 +103,15 @@ class Sheet:
         else:
             nodes, triangles = read_triangles(path, self.region)
             nodes = nodes * self.scale
+        if not np.isfinite(nodes[triangles]).all():
+            wrong = int(np.flatnonzero(~np.isfinite(nodes[triangles]).all(axis=(1, 2)))[0])
+            raise GeometryError(f"a corner of triangle {wrong} is not a finite number; mend the mesh")
+        if (extent := float(np.ptp(nodes[triangles].reshape(-1, 3), axis=0).max())) > _MOST_EXTENT:
+            large = f"the mesh is {extent:.4g} m large, {_MOST_EXTENT:g} m are allowed"
+            raise GeometryError(f"{large}; give scale, which is 1e-3 if the file is in millimetres")
         nodes, triangles, *_ = joined_nodes(nodes, triangles)
         triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]  # of joined nodes, empty ones
+        check_outside(nodes, triangles)
         for plane in self.cut:
             nodes, triangles = cut_off(nodes, triangles, plane)
         if self.seed:
@@ -143,6 +150,7 @@ class Sheet:
         return np.asarray(thinner[:, None, None] * (directions * less[:, None]) @ directions.transpose(0, 2, 1))
 
 
+_MOST_EXTENT = 10.0  # m, of a mesh file
 _WHOLE = Sheet()
 _OF_FILE = ("file", "link", "visual", "region", "scale", "cut", "seed", "crease")  # how a surface is cut from a file
 
