@@ -253,6 +253,19 @@ def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path
     assert re.findall(r"\[(\d) of 6\] .*\n    strength \d", done.stdout) == list("123456")
 
 
+@pytest.mark.parametrize(("factor", "words"), [(1e3, "times what is described: check the units"), (3.0, "")])
+def test_a_conductivity_that_is_rather_a_wrong_unit_is_told(
+    factor: float, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = replace(PAPER, sheet=replace(PAPER.sheet, conductivity=factor * PAPER.sheet.conductivity))
+    twin = DirectDevice(VirtualSkin(there, 3))
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda device, skin: (twin, PAPER))
+    calibrate(device="virtual:", force=False, output=tmp_path / "mine.toml")
+    said = capsys.readouterr().out
+    assert words in said
+    assert ("check the units" in said) == bool(words)
+
+
 def test_a_skin_that_was_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.toml"
     names = ["first", "second", "third"]

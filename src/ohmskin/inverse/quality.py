@@ -13,7 +13,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.scan import Frame
 
 _UNLIKE = 0.3  # share of the data that fits no scale of the model, above which its description is doubtful
-_FAR = 30.0  # factor of the conductivity, either way, that is rather one of units
+UNIT_FACTOR = 30.0  # factor of the conductivity, either way, that is rather one of units
 _OFFSET = 0.2  # constant error, as a share of the data, worth a warning
 
 
@@ -43,7 +43,7 @@ class ModelMatch:
     def report(self) -> list[str]:
         """Warnings as sentences; empty if the frame fits."""
         warnings = []
-        if not 1 / _FAR < abs(self.scale) < _FAR:
+        if not 1 / UNIT_FACTOR < abs(self.scale) < UNIT_FACTOR:
             factor = f"{1 / abs(self.scale):.3g} times those of the described conductivity"
             warnings.append(f"the voltages are {factor}: check the units of voltages and currents, and the description")
         if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
