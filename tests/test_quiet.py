@@ -68,6 +68,18 @@ def test_frames_with_spikes_are_measured_again_and_leave_the_noise_as_it_is() ->
     assert 44 < device.count < 90
 
 
+@pytest.mark.parametrize("step", [0.6e-3, 1.2e-3, 2.44e-3, 4.9e-3])
+def test_a_coarse_converter_is_quiet_and_a_finger_on_it_is_not(step: float) -> None:
+    """Most of its values do not change from frame to frame, and some by a step, with a noise of 0.2 mV."""
+    device = SpoiltDevice(spoil=lambda frame: replace(frame, voltages=step * np.round(frame.voltages / step)))
+    for _ in range(3):
+        quiet, frames = quiet_of(device)
+        assert (len(frames), quiet.notes) == (40, [])
+    device.pressed = lambda count: count % 20 < 10
+    with pytest.raises(DataError, match="the skin is not quiet"):
+        quiet_of(device)
+
+
 @pytest.mark.parametrize("volts", [np.nan, np.inf, 0.3])
 def test_one_bad_frame_is_measured_again(volts: float) -> None:
     device = SpoiltDevice()

@@ -18,6 +18,7 @@ _OUTLIER = 8.0  # robust standard deviations beyond which a value is a disturban
 _AGAIN = 3  # times that a disturbed frame is measured again, and that all are if something moved
 _PARTS, _MOST, _MOVED = 4, 0.95, 5.0  # of the frames, whose medians may differ by so many times the noise at so many
 _LEAST, _GAUSSIAN = 1e-4, 1.4826  # noise over the largest voltage, at least; standard deviation over median deviation
+_SMALLEST = 0.01  # share of the changes from frame to frame that are smaller than a converter's step, at most
 _LARGEST = 100.0  # A
 _MOST_BAD = 0.25  # share of the electrodes that a skin can do without
 
@@ -129,12 +130,19 @@ def _volts(frames: Sequence[Frame]) -> Floats:
     return finite(like)
 
 
-def _noise(volts: Floats) -> Floats:
-    """Noise (n_meas,) of repeated voltages (V): what changes from one frame to the next, spikes aside."""
+def _rounding(frames: Sequence[Frame]) -> float:
+    """Standard deviation (V) of rounding by the converter, from the smallest changes; next to nothing without it."""
+    changes = np.abs(np.diff(finite(np.stack([frame.voltages for frame in frames])), axis=0))
+    changes = changes[changes > 0]
+    return float(np.quantile(changes, _SMALLEST)) / np.sqrt(12) if changes.size else 0.0
+
+
+def _noise(volts: Floats, least: float) -> Floats:
+    """Noise (n_meas,) of repeated voltages (V), at least so much: what changes from frame to frame, spikes aside."""
     steps = _median(np.abs(np.diff(volts, axis=0))) * _GAUSSIAN / np.sqrt(2)
     known = steps[np.isfinite(steps)]
     floor = max(_LEAST * float(np.nanmax(np.abs(volts), initial=0.0)), float(np.median(known)) if known.size else 0.0)
-    return np.asarray(np.fmax(steps, floor))
+    return np.asarray(np.fmax(steps, max(floor, least)))
 
 
 def _moved(frames: Sequence[Frame]) -> tuple[float, float]:
@@ -145,7 +153,7 @@ def _moved(frames: Sequence[Frame]) -> tuple[float, float]:
     """
     volts = _volts(frames)
     volts -= _median((volts - _median(volts)).T)[:, None]
-    noise = _noise(volts)
+    noise = _noise(volts, _rounding(frames))
     means = np.stack([_median(part) for part in np.array_split(volts, _PARTS)])
     way = np.where(np.isfinite(means).all(axis=0), np.ptp(means, axis=0), 0.0)
     electrodes = frames[0].pattern.quadruples
@@ -163,7 +171,7 @@ def _outliers(frames: Sequence[Frame]) -> Bools:
     missing = ~np.isfinite(volts)
     with np.errstate(invalid="ignore"):
         away = np.abs(volts - _median(volts))
-        far = away > _OUTLIER * np.fmax(_noise(volts), _GAUSSIAN * _median(away))
+        far = away > _OUTLIER * np.fmax(_noise(volts, _rounding(frames)), _GAUSSIAN * _median(away))
     return np.asarray(far | (missing & (missing.mean(axis=0) < 0.5)))
 
 
