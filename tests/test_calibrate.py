@@ -253,17 +253,18 @@ def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path
     assert re.findall(r"\[(\d) of 6\] .*\n    strength \d", done.stdout) == list("123456")
 
 
-@pytest.mark.parametrize(("factor", "words"), [(1e3, "times what is described: check the units"), (3.0, "")])
+@pytest.mark.parametrize(("factor", "is_told"), [(1e3, True), (3.0, False), (1e-2, True)])
 def test_a_conductivity_that_is_rather_a_wrong_unit_is_told(
-    factor: float, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    factor: float, is_told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    there = replace(PAPER, sheet=replace(PAPER.sheet, conductivity=factor * PAPER.sheet.conductivity))
-    twin = DirectDevice(VirtualSkin(there, 3))
-    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda device, skin: (twin, PAPER))
+    skin = VirtualSkin(replace(PAPER, sheet=replace(PAPER.sheet, conductivity=factor * PAPER.sheet.conductivity)), 3)
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda device, name: (DirectDevice(skin), PAPER))
     calibrate(device="virtual:", force=False, output=tmp_path / "mine.toml")
-    said = capsys.readouterr().out
-    assert words in said
-    assert ("check the units" in said) == bool(words)
+    with Engine(partial(DirectDevice, skin), PAPER, "12B") as engine:
+        engine.calibrate()
+        for said in (capsys.readouterr().out, engine.message):
+            told = re.findall(r"the voltages are (.*) times those of the described conductivity: check the units", said)
+            assert [float(times) for times in told] == pytest.approx([1 / factor] if is_told else [], rel=0.02)
 
 
 def test_a_skin_that_was_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

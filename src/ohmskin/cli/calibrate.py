@@ -25,7 +25,7 @@ from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable
 from ohmskin.device import Device
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
-from ohmskin.inverse.quality import UNIT_FACTOR
+from ohmskin.inverse.quality import wrong_units
 from ohmskin.outlets.load_cell import open_load_cell
 from ohmskin.recording.player import reimage
 from ohmskin.sensing import SkinModel, mode_named
@@ -141,9 +141,8 @@ def _quiet(opened: Device, description: Skin, console: Console) -> Calibration:
     else:
         contacts = f"contacts {found.contact_resistance:.2g} ohm more than described"
     console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square; {contacts}")
-    if not 1 / UNIT_FACTOR < (factor := found.conductivity / description.sheet.conductivity) < UNIT_FACTOR:
-        units = "check the units of voltages and currents, and sheet.conductivity"
-        console.print(f"[bold]that is {factor:.3g} times what is described: {units}[/bold]")
+    for sentence in wrong_units(found.conductivity / description.sheet.conductivity):
+        console.print(f"[bold]{sentence}[/bold]")
     console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
     return found
 

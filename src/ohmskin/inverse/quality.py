@@ -13,7 +13,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.scan import Frame
 
 _UNLIKE = 0.3  # share of the data that fits no scale of the model, above which its description is doubtful
-UNIT_FACTOR = 30.0  # factor of the conductivity, either way, that is rather one of units
+_FAR = 30.0  # factor of the conductivity, either way, that is rather one of units
 _OFFSET = 0.2  # constant error, as a share of the data, worth a warning
 
 
@@ -42,10 +42,7 @@ class ModelMatch:
 
     def report(self) -> list[str]:
         """Warnings as sentences; empty if the frame fits."""
-        warnings = []
-        if not 1 / UNIT_FACTOR < abs(self.scale) < UNIT_FACTOR:
-            factor = f"{1 / abs(self.scale):.3g} times those of the described conductivity"
-            warnings.append(f"the voltages are {factor}: check the units of voltages and currents, and the description")
+        warnings = wrong_units(self.scale)
         if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
             share = 100 * abs(self.offset) / self.signal
             added = f"a constant {1e3 * self.offset:.3g} mV seems to be added to every voltage"
@@ -56,6 +53,15 @@ class ModelMatch:
             advice = "check the electrodes' order, their start and direction, and the shape"
             warnings.append(f"{poor}; {advice}")
         return warnings
+
+
+def wrong_units(scale: float) -> list[str]:
+    """A warning as a sentence where the described conductivity must be multiplied by a `scale` that is rather one of
+    units; empty elsewhere."""
+    if 1 / _FAR < abs(scale) < _FAR:
+        return []
+    factor = f"{1 / abs(scale):.3g} times those of the described conductivity"
+    return [f"the voltages are {factor}: check the units of voltages and currents, and the description"]
 
 
 def match_model(model: TransferModel, frame: Frame) -> ModelMatch:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ohmskin.inverse.quality import wrong_units
 from ohmskin.sensing.confidence import quiet_match
 from ohmskin.sensing.model import SkinModel
 
@@ -26,8 +27,10 @@ def changed_since(known: SkinModel) -> list[str]:
         then, made = np.concatenate([known.model.voltages(pattern) for pattern in patterns]), "calibrated"
         usual, advice = calibration.unexplained[1], "run `ohmskin calibrate` again"
     else:
+        described = known.skin.conductivity_on(known.model.mesh)
+        warnings = wrong_units(float(np.median(known.model.conductivity) / np.median(described)))
         match = quiet_match(known, patterns[0])
-        return match.report() if match is not None and match.doubtful else []
+        return [*warnings, *(match.report() if match is not None and match.doubtful else [])]
     compared = idle & np.isfinite(now) & np.isfinite(then)
     now, then = now[compared], then[compared]
     if not (size := float(now @ now)):
