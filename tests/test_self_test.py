@@ -156,6 +156,13 @@ def test_a_sense_wire_that_is_off_is_told_from_an_electrode_that_is() -> None:
     assert [(finding.kind, finding.electrodes) for finding in found] == [("contradicts", (6,))]
 
 
+def test_an_inverting_instrument_is_named() -> None:
+    frame = mean_frame([virtual(PAPER, (), 1).scan(terminal_pattern(16)) for _ in range(4)])
+    found = diagnose(PAPER, replace(frame, voltages=-frame.voltages)).findings
+    assert [(finding.kind, finding.electrodes) for finding in found] == [("contradicts", ())]
+    assert "every voltage has the wrong sign" in found[0].text
+
+
 def test_a_dead_instrument_is_one_finding_not_sixteen() -> None:
     frame = virtual(PAPER, (), 1).scan(terminal_pattern(16))
     (finding,) = diagnose(PAPER, replace(frame, voltages=0 * frame.voltages)).findings

@@ -117,6 +117,8 @@ def diagnose(skin: Skin, frame: Frame) -> WiringDiagnosis:
     conductivity = skin.sheet.conductivity / fit.scale
     if not conductivity > 0:
         words = "no sheet of the described shape conducts like this: is it the skin described, with its own electrodes?"
+        if (measured[usable] < 0).all():
+            words = "every voltage has the wrong sign; swap the signs of voltages or currents in the device"
         findings = (*findings, WiringFinding("contradicts", (), words))
     return WiringDiagnosis(findings, measured, modelled, conductivity, series, fit.misfit, contradiction)
 
