@@ -189,7 +189,8 @@ def test_a_load_cell_calibrates_the_layer(
 
     device = Finger(VirtualSkin(PAPER, 3))
     monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, WRONG))
-    monkeypatch.setattr("ohmskin.cli.calibrate.calibrate_quiet", lambda *_, **__: Calibration())  # which takes long
+    quiet = Calibration(conductivity=PAPER.sheet.conductivity)
+    monkeypatch.setattr("ohmskin.cli.calibrate.calibrate_quiet", lambda *_, **__: quiet)  # which takes long
     real = open_load_cell
 
     def opened(*given: Any) -> Any:
