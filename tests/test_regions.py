@@ -1,6 +1,7 @@
 """Skins that are cut from a link's mesh by a name, a place or planes: OBJ, STL, Gmsh, URDF."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.geometry import Mesh, write_mesh
 from ohmskin.geometry.regions import read_triangles
-from ohmskin.geometry.surface import pieces
+from ohmskin.geometry.surface import check_outside, pieces
 from ohmskin.skin import Skin
 
 WALL = 'file = "forearm.obj"\nscale = 1e-3\nregion = "wall"'
@@ -216,6 +217,23 @@ def test_a_mesh_that_would_make_a_wrong_skin_is_refused(
     solids(tmp_path / "forearm.stl", nodes, {"wall": triangles})
     with pytest.raises(SkinError, match=told):
         Skin.load(skin_file(tmp_path, sheet))
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.02, -0.02, -0.2])
+@pytest.mark.parametrize("hole", [0.002, 0.02, 0.09])
+def test_flat_rings_and_bowls_with_holes_may_be_worn_inside(depth: float, hole: float) -> None:
+    """A round sheet with a round hole, level, or bent to either side; the deepest with the widest hole is a tube."""
+    t, phi = np.linspace(0, 1, 9)[:, None], 2 * np.pi * np.arange(24) / 24
+    radius = 0.1 + (hole - 0.1) * t
+    nodes = np.stack([radius * np.cos(phi), radius * np.sin(phi), depth * t + 0 * phi], axis=2).reshape(-1, 3)
+    number = np.arange(9 * 24).reshape(9, 24)
+    a, b, c, d = number[:-1], np.roll(number[:-1], -1, axis=1), np.roll(number[1:], -1, axis=1), number[1:]
+    triangles = np.vstack([np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))])
+    tube = (depth, hole) == (-0.2, 0.09)
+    with pytest.raises(GeometryError, match="reverse them") if tube else nullcontext():
+        check_outside(nodes, triangles)
+    if depth <= 0:
+        check_outside(*inside_out(nodes, triangles))
 
 
 def test_an_empty_file_has_no_triangles(tmp_path: Path) -> None:

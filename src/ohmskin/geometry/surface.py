@@ -10,6 +10,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 
 _OFF = 0.1  # of a surface's extent, that a place on it may be off
+_ONE_SIDED = 0.3  # sum of the normals over that of their sizes: 0 of a pipe, 1 of a flat sheet, half of half a ball
 _SNAP = 0.05  # of the shortest edge at a node: closer to a plane, it is on it
 
 
@@ -99,7 +100,7 @@ def closed_walks(edges: Ints) -> list[Ints]:
 def check_outside(nodes: Floats, triangles: Ints) -> None:
     """Raise GeometryError if triangles are clockwise seen from outside, of a closed surface or of one like a tube.
 
-    What has one rim may be a bowl, whose outside nothing tells.
+    What faces one side more than the other, as a bowl does, may be a skin on its inside, and so may what has one rim.
     """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     alone = edges[~np.isin(edges @ [len(nodes), 1], edges @ [1, len(nodes)])]
@@ -108,11 +109,15 @@ def check_outside(nodes: Floats, triangles: Ints) -> None:
     except GeometryError:
         return
     first, second, third = nodes[triangles].swapaxes(0, 1)
+    normals = np.cross(second - first, third - first)
+    one_sided = np.linalg.norm(normals.sum(axis=0)) > _ONE_SIDED * np.linalg.norm(normals, axis=1).sum()
+    if len(rims) == 1 or one_sided:
+        return
     volume = float(np.sum(first * np.cross(second, third)))
     for walk in rims:  # a lid on each, of triangles about its middle
         start, end = nodes[alone[np.isin(alone[:, 0], walk)]].swapaxes(0, 1)
         volume += float(np.cross(end, start).sum(axis=0) @ nodes[walk[:-1]].mean(axis=0))
-    if volume < 0 and len(rims) != 1:
+    if volume < 0:
         raise GeometryError("its triangles are clockwise seen from outside; reverse them: normals must point outwards")
 
 
