@@ -52,6 +52,20 @@ def test_each_order_is_told_from_rectified_uneven_voltages(order: Order, skin: s
         assert not doubt
 
 
+def test_the_order_of_doubtful_values_is_still_the_likelier_one() -> None:
+    """Some injections whose voltages are next to nothing: the likeness falls, of other orders more."""
+    order, doubts = next(one for one in orders(208) if "from the driven electrodes on" in one.words), []
+    for dead in (0, 1, 2, 3):
+        values = np.abs(written(order, 0, "tank"))
+        values[:, : 13 * dead] *= 1e-3
+        found, doubt = likeliest(values)
+        assert found is not None
+        assert found.words == order.words
+        doubts.append(bool(doubt))
+    assert doubts[0] is False
+    assert doubts[-1] is True
+
+
 def test_values_that_are_not_of_adjacent_drive_are_doubted() -> None:
     found, doubt = likeliest(np.random.default_rng(0).normal(size=(4, 208)))
     assert found is orders(208)[0] or found is not None

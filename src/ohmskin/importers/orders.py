@@ -95,8 +95,10 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
     if likenesses[best] < likenesses[0] + _BETTER:
         best = 0
     if likenesses[best] < _LEAST:
-        found = f"likeness {max(likenesses):.2f} with a round even sheet"
-        return known[0], f"the voltages are not largest beside the driven electrodes ({found}); is it adjacent drive?"
+        found = f"likeness {likenesses[best]:.2f} with a round even sheet"
+        return known[
+            best
+        ], f"the voltages are not largest beside the driven electrodes ({found}); is it adjacent drive?"
     return known[best], ""
 
 
