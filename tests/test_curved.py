@@ -15,7 +15,7 @@ from ohmskin.client.contacts import Patch
 from ohmskin.contacts import Contact, in_frame
 from ohmskin.drive import complete_pattern, pair_weights
 from ohmskin.engine import Engine
-from ohmskin.errors import GeometryError, PatternError, SkinError
+from ohmskin.errors import GeometryError, ModelError, PatternError, SkinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import (
@@ -419,3 +419,11 @@ def test_a_contact_in_an_image_on_a_surface_in_space_has_three_coordinates() -> 
 def test_eq_7_is_refused_in_space() -> None:
     with pytest.raises(PatternError, match="flat map"):
         pair_weights(np.zeros((4, 3)), np.zeros((1, 3)))
+
+
+def test_an_image_of_another_size_than_its_cells_is_refused() -> None:
+    """As a package's estimator may give it: compiled code would read behind its end."""
+    mesh = mesh_domain(SHEETS["sleeve"].chart.domain, 8e-3)
+    image = Image(np.ones(7), lambda elements: np.zeros(np.size(elements)))
+    with pytest.raises(ModelError, match=f"an image has 7 values; its estimator must give {mesh.n_elem}, one per cell"):
+        ohm.ContactFinder(0.3).find(image, mesh)

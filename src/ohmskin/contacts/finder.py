@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.contacts.regions import find_regions, middle
+from ohmskin.errors import ModelError
 from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 
@@ -64,7 +65,13 @@ class ContactFinder:
     bipolar: bool = False
 
     def find(self, image: Image, cells: Cells) -> list[Contact]:
-        """The contacts of an image made of `cells`, strongest peak first."""
+        """The contacts of an image made of `cells`, strongest peak first.
+
+        Raises:
+            ModelError: If the image has not as many values as there are cells.
+        """
+        if (count := len(cells.measures)) != image.values.size:
+            raise ModelError(f"an image has {image.values.size} values; its estimator must give {count}, one per cell")
         cut = self.cut(image)
         contacts = []
         for sign in (1, -1) if self.bipolar else (1,):
