@@ -85,12 +85,16 @@ def test_channels_of_a_sound_skin_stay_as_they_are() -> None:
     assert judged.unexplained < 0.1
 
 
-def test_channels_that_were_never_measured_are_left_out_later_too() -> None:
+@pytest.mark.parametrize("value", [np.nan, 0.0])
+def test_channels_that_were_never_measured_are_left_out_later_too(value: float) -> None:
     """They had counted as sound, and moved what a map had learned without them, once they were there."""
     given = flawed_skin(25, 60, silent=0, strange=0)
     never = np.arange(208) < 40
-    frames = [replace(frame, voltages=np.where(never, np.nan, frame.voltages)) for frame in given.frames]
-    judged = judge_channels(given.skin, given.quiet, frames)
+    quiet, frames = (
+        [replace(frame, voltages=np.where(never, value, frame.voltages)) for frame in some]
+        for some in (given.quiet, given.frames)
+    )
+    judged = judge_channels(given.skin, quiet, frames)
     assert judged.doubtful[never].all()
     assert judged.doubtful[~never].mean() < 0.1
     skin = replace(given.skin, calibration=judged.put_into(given.skin.calibration))

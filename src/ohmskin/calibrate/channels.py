@@ -127,7 +127,7 @@ def judge_channels(
         )
     skipped, felt = len(frames) - len(felt), felt[:: -(-len(felt) // _MOST)]
     ohms = ohms[felt]
-    measured = np.isfinite(ohms)
+    measured = np.isfinite(ohms) & np.nan_to_num(ohms).any(axis=0)  # what never changes is not measured
     ohms = np.where(measured, ohms, 0.0)
     table = known.fitter.table
     chosen = table.spaced(_SPACING * table.radius)

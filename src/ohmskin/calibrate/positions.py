@@ -35,7 +35,9 @@ _TELLING = 5  # false alarms from which on their rate is counted
 _LIMITS = 1e-3, 0.9  # of distances; changes that have nothing to do with presses are some 1.3 away
 _COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
 _LIKE = 0.7  # share of the places' own scatter that a map of them must come below
-_FAR, _SOME = 0.25, 0.02  # share of the sheet's size that a press is felt away from its place, and of such presses
+_AWAY, _LEAST_AWAY = 6.0, 0.05  # over the median, and of the sheet's size: misses beyond both contradict other presses
+_ROUNDS = 4  # in which such presses are told from the rest
+_NAMED = 5  # of them at most
 _WORSE = 1.1  # times the error without a map, from which on it does not help
 _UNITS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3)  # scales of places that were given in another unit
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
@@ -52,7 +54,7 @@ class PositionReport:
             after the similarity, after the map. NaN: not detected.
         held: Share of the presses within their 90 % ellipses.
         places: Number of places pressed, at which presses are judged by what was learned from other places.
-        far: Number of presses felt far from their places.
+        contradicting: (n,) whether a press is far from where all others say that it is; nothing was learned from it.
         curve: The learning curve: from how many presses a map was learned, and its mean error (m) at others.
     """
 
@@ -62,15 +64,16 @@ class PositionReport:
     mapped: Floats
     held: float
     places: int
-    far: int = 0
+    contradicting: Bools
     curve: tuple[tuple[int, float], ...] = ()
 
     def report(self) -> list[str]:
         """The findings as sentences, one a line."""
         known = np.isfinite(self.physics)
+        judged = known & ~self.contradicting
         rows = [("physics", self.physics), ("similarity", self.similarity), ("map", self.mapped)]
         first = rows[0 if self.map.own else 1 :]
-        errors = {name: float(np.mean(one[known])) for name, one in first}
+        errors = {name: float(np.mean(one[judged])) for name, one in first}
         told = ", ".join(f"{name} {1e3 * error:.2f} mm" for name, error in errors.items())
         at = "presses" if self.places == known.sum() else f"places ({self.places} are known)"
         lines = [
@@ -79,9 +82,12 @@ class PositionReport:
         ]
         if errors.pop("map") > _WORSE * min(errors.values()):
             lines.append("the map makes places no better; learn from more places, or leave it out with --no-positions")
-        if self.far > _SOME * known.sum():
+        if len(which := np.flatnonzero(self.contradicting)):
+            named = ", ".join(str(k + 1) for k in which[:_NAMED]) + (", ..." if len(which) > _NAMED else "")
             lines.append(
-                f"{self.far} presses are felt far from their places: are some places wrong, or in another row?"
+                f"{len(which)} presses are far from where all others say that they are (number {named}): are their "
+                "places wrong? They are left out, of these errors, too; with them "
+                f"map {1e3 * float(np.mean(self.mapped[known])):.2f} mm"
             )
         if self.curve:
             fewer = ", ".join(f"{count} {1e3 * error:.2f} mm" for count, error in self.curve)
@@ -159,14 +165,15 @@ def learn_positions(
         told = f"{known.sum()} of {len(found)} presses were detected whose places are known, at {count} places"
         raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
     found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
-    own = _is_own(similarity(found, places), found.mean(axis=0), size)
-    learn = partial(_learn, pattern, size=size, own=own)
     after, whole, near_only = np.empty_like(places), np.empty_like(places), np.empty_like(places)
     variances, away, left = np.empty((len(places), 2)), np.empty(len(places)), np.empty((2, len(places)))
     folds = min(_FOLDS, count)
     fold = np.argsort(np.random.default_rng(0).permutation(count))[alike] % folds
+    learn = partial(_learn, pattern, size=size)
+    wrong = _contradicting(learn, found, changes, places, fold, size)
+    learn = partial(learn, own=_is_own(similarity(found[~wrong], places[~wrong]), found.mean(axis=0), size))
     for number in range(folds):
-        test, train = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
+        test, train = np.flatnonzero(fold == number), np.flatnonzero((fold != number) & ~wrong)
         one = learn(found[train], changes[train], places[train])
         after[test] = one.registration(found[test])
         near_only[test], variances[test, 0] = one.registered(found[test])
@@ -180,7 +187,7 @@ def learn_positions(
         told = f"places scatter by {1e3 * scatter:.3g} mm, a map from others misses them by {1e3 * missed:.3g} mm"
         advice = "check that each row has the place of its own press, and the skin; or leave places out: --no-positions"
         raise DataError(f"the places have nothing to do with the presses: {told}; {advice}")
-    final, (limit, rate) = learn(found, changes, places), novelty(away)
+    final, (limit, rate) = learn(found[~wrong], changes[~wrong], places[~wrong]), novelty(away)
     misses = [((one - places) ** 2).sum(axis=1) / variances[:, k] for k, one in enumerate((near_only, whole))]
     trust = np.maximum([_ninety(one) / _NINETY for one in misses], 0.1)
     usual, length = _usual(*left), _length(found, changes)
@@ -191,15 +198,34 @@ def learn_positions(
     for number in range(folds):
         held[fold == number] = misses[1][fold == number] < _ninety(misses[1][fold != number])
     physics, registered, mapped = (_scattered(np.hypot(*(one - places).T), known) for one in (found, after, whole))
-    test, rest = np.flatnonzero(fold == 0), np.flatnonzero(fold)
+    test, rest = np.flatnonzero((fold == 0) & ~wrong), np.flatnonzero((fold > 0) & ~wrong)
     curve = list[tuple[int, float]]()
     for fewer in (fewer for fewer in _COUNTS if fewer < 0.7 * len(rest)):
         train = np.random.default_rng(1).permutation(rest)[:fewer]
         reached, _ = learn(found[train], changes[train], places[train]).registered(found[test], changes[test])
         curve.append((fewer, float(np.linalg.norm(reached - places[test], axis=1).mean())))
     progress(1.0)
-    far = int((np.linalg.norm(after - places, axis=1) > _FAR * size * final.registration.scale).sum())
-    return PositionReport(final, physics, registered, mapped, float(held.mean()), count, far, tuple(curve))
+    contradicting = np.zeros(len(known), bool)
+    contradicting[known] = wrong
+    return PositionReport(final, physics, registered, mapped, float(held.mean()), count, contradicting, tuple(curve))
+
+
+def _contradicting(
+    learn: Callable[..., PositionMap], found: Floats, changes: Floats, places: Floats, fold: Ints, size: float
+) -> Bools:
+    """Which presses (n,) are far from where a map of those of other folds that are not says that they are."""
+    wrong, reached = np.zeros(len(found), bool), np.empty_like(places)
+    least = _LEAST_AWAY * size * similarity(found, places).scale
+    for _ in range(_ROUNDS):
+        for number in range(fold.max() + 1):
+            test, train = fold == number, (fold != number) & ~wrong
+            one = learn(found[train], changes[train], places[train], own=True, networks=False)
+            reached[test], _ = one.registered(found[test], changes[test])
+        missed, before = np.linalg.norm(reached - places, axis=1), wrong
+        wrong = missed > max(_AWAY * float(np.median(missed)), least)
+        if (wrong == before).all():
+            break
+    return np.asarray(wrong)
 
 
 def same_places(places: Floats) -> Ints:
@@ -274,7 +300,7 @@ def _length(found: Floats, changes: Floats) -> float:
 
 
 def _learn(
-    pattern: DrivePattern, found: Floats, changes: Floats, places: Floats, size: float, own: bool
+    pattern: DrivePattern, found: Floats, changes: Floats, places: Floats, size: float, own: bool, networks: bool = True
 ) -> PositionMap:
     registration = similarity(found, places)
     left = places - registration(found)
@@ -285,10 +311,10 @@ def _learn(
     near, full = regress(found, left, size), regress(at, left, size)
     sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
     known = (features / sizes)[np.random.default_rng(2).permutation(len(features))[:_KNOWN]]
-    many = same_places(places).max() + 1 >= _MANY
-    quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if many else None
+    many = networks and same_places(places).max() + 1 >= _MANY
+    quadruples, beside = pattern.quadruples.astype(float), trained(at, left) if many else None
     return PositionMap(
-        registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, np.zeros(2), 0.0, networks
+        registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, np.zeros(2), 0.0, beside
     )
 
 

@@ -49,6 +49,8 @@ _ALIKE = 0.9  # share of the columns that are named alike, from which on others 
 _NAMED = 8  # of them at most
 _AS_PRESSES = 0.3  # share of a usual press's change from which on a row is of one, too
 _UNTOLD = 0.02  # share of a usual change that is taken for noise where nothing tells it
+_LEAST_SPREAD = 0.05  # over their size, of voltages, below which an offset is none of its own
+_OFFSET = 0.1  # times what is left without one, below which the quiet voltages have a common offset
 _MIXED = 0.1  # share of the quiet voltages that is negative on the model, from which all positive ones are rectified
 
 
@@ -190,7 +192,9 @@ def _pressed(values: Floats, places: Floats, forces: Floats | None, quiet: Float
     sure = (forces > 0) | (placed & ~resting)
     if sure.any() and not sure.all():
         rest = _median(quiet if len(quiet) else values[~sure])
-        change = np.linalg.norm(np.nan_to_num(values - rest), axis=1)
+        changes = np.nan_to_num(values - rest)
+        usual = np.sqrt((changes[sure] ** 2).mean(axis=0))  # each channel by its own: one may be noise alone
+        change = np.linalg.norm(changes / np.where(usual > 0, usual, np.inf), axis=1)
         sure |= change > _AS_PRESSES * np.median(change[sure])
     if lost := int((sure & ~placed).sum()):
         notes.append(f"{lost} rows without a place are presses: by their force, or by how much they differ")
@@ -210,6 +214,9 @@ def _adjacent(
 ) -> tuple[Floats, Floats, ImportedPattern, tuple[str, ...]]:
     """Values and quiet ones as voltages of adjacent drive, in the order that they seem to be in."""
     order, doubt = likeliest(quiet if len(quiet) else values)
+    if doubt and len(quiet):  # counts round the middle of a scale, or other offsets
+        by_changes = likeliest(values - _median(quiet))
+        order, doubt = (order, doubt) if by_changes[1] else by_changes
     count = values.shape[1]
     if order is None:
         told = f"{name} has {count} values a frame and no pattern; adjacent drive of n electrodes has n (n - 3)"
@@ -231,8 +238,8 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
     """A recording as voltages: signs or the untouched skin, if its file lacks them, are taken from the model.
 
     Rectified voltages take the model's signs, and so do values that are all positive where the model's are not;
-    voltages that are all inverted get their sign back; differences are added to the model's quiet voltages. Notes list
-    it.
+    voltages that are all inverted get their sign back; an offset of all, as of counts round the middle of a scale, is
+    taken off; differences are added to the model's quiet voltages. Notes list it.
 
     Args:
         recording: As read; `values` states what it contains.
@@ -260,21 +267,36 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
         return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
     measured = np.ma.masked_invalid([frame.voltages for frame in quiet]).mean(axis=0).filled(np.nan)
     known = np.isfinite(measured)
-    rectified = bool(
-        (measured[known] >= 0).all() and (at_rest[known] < 0).mean() > _MIXED < (at_rest[known] > 0).mean()
-    )
+    x, y = at_rest[known], measured[known]
+    (slope, offset, left), (_, _, of_sizes) = (_line(one, y) for one in (x, np.abs(x)))
+    mixed = (x < 0).mean() > _MIXED < (x > 0).mean()
     signs = np.ones(len(measured))
-    if kind == "magnitudes" or rectified:
+    if kind == "magnitudes" or bool((y >= 0).all() and mixed and of_sizes < left):
         signs = np.where(at_rest < 0, -1.0, 1.0)
         notes.append("magnitudes: their signs are the model's")
-    elif measured[known] @ at_rest[known] < 0:
-        signs = -signs
-        notes.append("all voltages have the opposite sign of the model's: inverted")
+    else:
+        if left < _OFFSET * (1 - float(x @ y) ** 2 / max(float(x @ x) * float(y @ y), 1e-300)):
+            notes.append(f"all voltages have an offset of {offset:.3g}: it was taken off")
+            quiet, frames = (
+                tuple(replace(one, voltages=one.voltages - offset) for one in some) for some in (quiet, frames)
+            )
+        if slope < 0:
+            signs = -signs
+            notes.append("all voltages have the opposite sign of the model's: inverted")
     if (signs < 0).any():
         quiet, frames = (tuple(replace(one, voltages=signs * one.voltages) for one in some) for some in (quiet, frames))
     if recording.positions is not None:
         quiet = _with_noise(quiet, frames, notes)
     return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float, float]:
+    """Slope and offset of the line that fits y (n,) best, and the share of its squares that this leaves."""
+    usual = np.sqrt(np.mean(x**2)) if len(x) else 0.0
+    design = np.stack([x, np.full(len(x), usual)], axis=1)
+    found = np.linalg.lstsq(design, y, rcond=_LEAST_SPREAD)[0]
+    left = ((y - design @ found) ** 2).sum() / max(float(y @ y), 1e-300)
+    return float(found[0]), float(usual * found[1]), float(left)
 
 
 def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str]) -> Sequence[Frame]:
