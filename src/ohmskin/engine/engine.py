@@ -20,6 +20,7 @@ from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, Mode
 from ohmskin.gestures import GestureFollower
 from ohmskin.scan import DrivePattern, Frame, assess, needed
 from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, default_mode, drive_of, modes, recorded_mode
+from ohmskin.sensing.lifted import corrected
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
@@ -153,6 +154,11 @@ class Engine(Closing):
             return None
         self._notices.unread("")
         self._notices.findings(percept.findings)
+        if percept.lifted is not None:
+            self.known = corrected(self.known, self._sheet, percept.lifted)
+            self._sensors.renew(self.mode, self.known)
+            self._notices.lifted(percept.lifted)
+            self.forget()
         self._sequence += 1
         dropped = self._dropped_before + self.device.dropped
         health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.known.baseline.noise)
@@ -217,15 +223,7 @@ class Engine(Closing):
         Raises:
             PatternError: If it does not.
         """
-        drive, able = self.drive(mode), self.device.capabilities
-        if not drive.adjustable:
-            others = [name for name, one in self.modes.items() if self.drive(one).adjustable]
-            raise PatternError(
-                f"mode {mode.name} has no choice of injections; choose one of {', '.join(others) or 'none'}"
-            )
-        complete = drive.patterns[0]
-        per_injection = complete.n_meas // complete.n_inj
-        return 1, min(complete.n_inj, able.max_injections, able.max_measurements // per_injection)
+        return self._sensors.injection_limits(mode, self.modes, self.device.capabilities)
 
     def drive(self, mode: Mode) -> Drive:
         """The drive of a mode."""

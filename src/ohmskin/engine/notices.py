@@ -5,10 +5,12 @@ from collections.abc import Callable, Sequence
 from ohmskin.errors import OhmskinError
 from ohmskin.sensing import Cause, Finding, SkinModel
 from ohmskin.sensing.identity import changed_since
+from ohmskin.sensing.lifted import Lifted
 from ohmskin.skin import Mode
 
 SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
 
+_LIFTED = "what touched the skin during calibration was lifted, and is taken off the baseline; better calibrate again"
 _DETECTED = (
     "a contact was detected before the calibration: if something touched the skin then, lift it and calibrate again"
 )
@@ -45,6 +47,13 @@ class Notices:
             self._report(sentence)
         self._faults = standing
         self.message = _DETECTED if detected else self._standing
+
+    def lifted(self, touches: Lifted) -> None:
+        """Report touches of the calibration that have been lifted, and were taken off; that there were some holds."""
+        places = ", ".join(f"({1e3 * x:.0f}, {1e3 * y:.0f}) mm" for x, y in touches.positions)
+        self._report(f"{_LIFTED}, at {places}")
+        self._faults = self._faults if _LIFTED in self._faults else "; ".join(filter(None, (self._faults, _LIFTED)))
+        self.message = self._standing
 
     def awaited(self, what: str, then: str = "") -> None:
         """Report what is waited for, which holds until it is empty, `then` with what comes of it."""

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Mapping
 
+from ohmskin.device import Capabilities
 from ohmskin.drive import Drive
 from ohmskin.engine.compiling import Compilation
+from ohmskin.errors import PatternError
 from ohmskin.sensing import Sensor, SkinModel, build
 from ohmskin.skin import Mode
 
@@ -55,6 +57,20 @@ class Sensors:
         self._drives[changed] = self.drive(mode).with_injections(changed.injections)
         if mode in self._sensors:
             self._sensors[changed] = self._sensors[mode].with_drive(self._drives[changed])
+
+    def injection_limits(self, mode: Mode, modes: Mapping[str, Mode], able: Capabilities) -> tuple[int, int]:
+        """Smallest and largest number of injections per frame of one of the `modes`, on a device that is `able` to.
+
+        Raises:
+            PatternError: If the mode's drive does not allow any number.
+        """
+        drive = self.drive(mode)
+        if not drive.adjustable:
+            others = ", ".join(name for name, one in modes.items() if self.drive(one).adjustable) or "none"
+            raise PatternError(f"mode {mode.name} has no choice of injections; choose one of {others}")
+        complete = drive.patterns[0]
+        per_injection = complete.n_meas // complete.n_inj
+        return 1, min(complete.n_inj, able.max_injections, able.max_measurements // per_injection)
 
     def stand_in(self, mode: Mode, modes: Mapping[str, Mode]) -> Mode:
         """The mode to sense in: the one wanted, or while that is compiled one without fits, adaptive if there is one.

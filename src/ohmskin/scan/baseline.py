@@ -84,6 +84,16 @@ class Difference:
         loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
         return self.valid(self.pattern.undriven, self.currents[kept], self.volts[kept], loading, reference)
 
+    @property
+    def known(self) -> bool:
+        """Whether any of it is known."""
+        return bool(np.isfinite(self.volts + self.currents).any())
+
+    @property
+    def negated(self) -> "Difference":
+        """The change from there to here."""
+        return changed(self, volts=-self.volts)
+
     def caused_by(self, changes: Floats, pairs: Pairs | None = None) -> Floats:
         """The part of this difference (n_meas,) (V) that changes of two-terminal resistances cause.
 

@@ -42,6 +42,11 @@ class LearnedReader:
         """What makes the image."""
         return self.physics.estimator
 
+    @property
+    def fitter(self) -> ContactFitter:
+        """What fits contacts to outliers."""
+        return self.physics.fitter
+
     def start(self, before: Belief | None = None) -> Belief:
         """The belief while nothing touches the skin."""
         return self.physics.start(before)

@@ -43,6 +43,11 @@ class QuietScans:
         return float(known.mean()) if len(known) else np.nan
 
     @property
+    def frames(self) -> list[Frame]:
+        """All frames."""
+        return [frame for repeated in self._by_pattern.values() for frame in repeated]
+
+    @property
     def driven(self) -> DrivePattern | None:
         """The largest pattern with voltages of driven electrodes, if there is one."""
         found = [pattern for pattern in self._by_pattern if pattern.driven.any()]

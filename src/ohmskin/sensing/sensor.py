@@ -1,11 +1,9 @@
 """A sensor is a drive and a reader: one step measures what the drive asks for and reads what is there."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Protocol
-
-import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, Solution, on_skin
@@ -17,10 +15,12 @@ from ohmskin.sensing.confidence import as_measured, fit_confidence, image_misfit
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
+from ohmskin.sensing.learned import LearnedReader
+from ohmskin.sensing.lifted import Lifted, Suspicion
 from ohmskin.sensing.locator import Locator, targets_of
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import placed, placement_of
-from ohmskin.sensing.readers import Belief, DetectionReader, Reader
+from ohmskin.sensing.readers import Belief, DetectionReader, FilterReader, FitReader, Reader
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
@@ -56,12 +56,14 @@ class Percept:
         belief: The belief after it.
         base_estimate: The estimate after the base scan, with its image; None where a frame has one scan.
         diagnosis: Detected faults of the instrument.
+        lifted: Touches of the calibration that have been lifted, once they are sure; `corrected` takes them off.
     """
 
     frames: tuple[Frame, ...]
     belief: Belief
     base_estimate: Estimate | None = field(default=None, repr=False)
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
+    lifted: Lifted | None = field(default=None, repr=False)
 
     @property
     def image(self) -> Image:
@@ -101,6 +103,7 @@ class SensorState:
         diagnosis: Detected faults of the instrument.
         presses: State of the presses fitted to contacts.
         located: The contacts last searched in a base scan.
+        suspicion: Of touches that were there during calibration, and have been lifted.
     """
 
     belief: Belief
@@ -110,6 +113,7 @@ class SensorState:
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
     presses: Presses = field(default=Presses(), repr=False)
     located: Solution | None = field(default=None, repr=False)
+    suspicion: Suspicion = field(default=Suspicion(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +174,7 @@ class Sensor:
         self.thresholds, self.fuse, self.window, self.forces = thresholds, fuse, window, forces
         self.detector, self.total = FaultDetector(known, window), TotalForce(known)
         self._placement, self._chart = placement_of(known), known.skin.chart
+        self.fitter = reader.fitter if isinstance(reader, FilterReader | FitReader | LearnedReader) else None
         self.implementation: Implementation | None = None
         self.seconds = 0.0
 
@@ -199,14 +204,23 @@ class Sensor:
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
         quick = all(self.known.soundness(frame).whole for frame in measured.frames) and not self._doubts(state)
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
+        suspicion = Suspicion()
         if found is not None and not self._surprises(state.belief, found[0]):
             diagnosis = self.detector.passed(state.diagnosis, measured.scans, elapsed)
             scans, judged = measured.scans, True
         else:
             given, judged = (state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects), False
             diagnosis, scans = self.detector.examine(*given, state.belief.unexplained, state.belief.degraded)
-            if found is None or scans != measured.scans:
-                found = self._read(state, measured, scans, diagnosis, elapsed)
+            if state.suspicion.frames:
+                suspicion = self._suspected(state, scans, diagnosis)
+            if not suspicion.frames:
+                if found is None or scans != measured.scans:
+                    found = self._read(state, measured, scans, diagnosis, elapsed)
+                if self._surprises(state.belief, found[0]):
+                    suspicion = self._suspected(state, scans, diagnosis)
+            if suspicion.frames:
+                found = self.reader.start(state.belief), self._recent(state, scans, diagnosis)
+        assert found is not None
         belief, recent = found
         if belief.detections and belief is not state.belief and isinstance(self.reader, DetectionReader):  # unjudged
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
@@ -214,25 +228,27 @@ class Sensor:
         if any(cause.spoils for cause in diagnosis.recent_causes):
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self._chart)
-        if self.forces is not None and _any_known(scans):
+        if self.forces is not None and any(scan.known for scan in scans):
             presses, contacts = self.forces.update(
                 presses, contacts, belief.without_drift(scans, self.known.pairs), elapsed
             )
         contacts = self.total(contacts, measured.frames)
         turn = state.turn + len(measured.frames)
-        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses, measured.located)
+        recent = recent if self.window else ()
+        after = SensorState(belief, turn, recent, now, diagnosis, presses, measured.located, suspicion)
         if _SPIKES in diagnosis.recent_causes:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
         if _UNLIKE in diagnosis.recent_causes:  # the frames before count, too, however well this one is explained
             contacts = scaled_confidence(contacts, fit_confidence(diagnosis.unlike))
         reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
-        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis)
+        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, suspicion.lifted)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
         every = state.turn // self.drive.scans % _EXAMINED == 0
         belief = state.belief
-        return bool(every or state.diagnosis.troubled or belief.suspects or belief.degraded or self._unsure(belief))
+        troubled = state.diagnosis.troubled or state.suspicion.frames or belief.suspects or belief.degraded
+        return bool(every or troubled or self._unsure(belief))
 
     def _unsure(self, belief: Belief) -> bool:
         """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""
@@ -251,13 +267,25 @@ class Sensor:
         elapsed: float,
     ) -> tuple[Belief, tuple[Difference, ...]]:
         """What is believed after scans, and the newest scans that it is read from."""
-        new = scans if self.fuse else scans[-1:]
-        recent = newest(new, self.detector.without_bad(diagnosis, state.recent), self.window)
-        if not _any_known(new):
+        new, recent = scans if self.fuse else scans[-1:], self._recent(state, scans, diagnosis)
+        if not any(scan.known for scan in new):
             return state.belief if diagnosis.without_data < HELD else self.reader.start(state.belief), recent
         if measured.read is not None and scans == measured.scans:
             return measured.read(state.belief), recent
         return self.reader.update(state.belief, new, recent, elapsed), recent
+
+    def _recent(
+        self, state: SensorState, scans: tuple[Difference, ...], diagnosis: Diagnosis
+    ) -> tuple[Difference, ...]:
+        """The newest scans that a frame is read from."""
+        new = scans if self.fuse else scans[-1:]
+        return tuple(newest(new, self.detector.without_bad(diagnosis, state.recent), self.window))
+
+    def _suspected(self, state: SensorState, scans: tuple[Difference, ...], diagnosis: Diagnosis) -> Suspicion:
+        """Whether touches that were there during calibration may have been lifted; none where data are spoilt."""
+        if self.fitter is None or any(cause.spoils for cause in diagnosis.recent_causes - {_UNLIKE}):
+            return Suspicion()
+        return state.suspicion.after(self.fitter, scans)
 
     def _measure(self, state: SensorState, scan: Scan) -> Measured:
         if self.implementation is None or state.diagnosis.bad:
@@ -288,12 +316,7 @@ class Sensor:
                 sound = tuple(scans)
                 if self._doubts(state):
                     _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
-                if _any_known(sound):
+                if any(scan.known for scan in sound):
                     base_estimate = self.locator.estimate(sound)
                     targets, located = self.locator.targets(sound, base_estimate, state.belief, located)
         return Measured(tuple(frames), tuple(scans), base_estimate, located=located)
-
-
-def _any_known(scans: Sequence[Difference]) -> bool:
-    """Whether anything is known of scans."""
-    return any(np.count_nonzero(np.isfinite(scan.volts + scan.currents)) for scan in scans)

@@ -1,0 +1,94 @@
+"""Touches that were there while the skin was calibrated: once they are lifted, the baseline has them and the skin not.
+
+What a lift changes is minus what the press had changed, whatever its size: contacts fitted to the negated data are the
+lifted ones. Where these explain several frames in a row better than contacts do, the baseline is corrected by what
+they cause, and by what they leave, and is as good as one of the untouched skin.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import ContactFitter, Solution
+from ohmskin.forward import TransferModel
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+
+_FRAMES = 8  # in a row
+_UNEXPLAINED = 0.3  # share of the data that lifted touches leave at most
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """Touches of the calibration that have been lifted.
+
+    Args:
+        positions: (n, 2) on the map of the skin (m).
+        change: Of two-terminal resistances (n_pairs,) since the calibration (ohm).
+    """
+
+    positions: Floats
+    change: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Suspicion:
+    """How long lifted touches have explained the data better than contacts.
+
+    Args:
+        frames: In a row.
+        scans: Of these, but for the first, within which the lift may have been.
+        lifted: The touches, once they are sure.
+    """
+
+    frames: int = 0
+    scans: tuple[Difference, ...] = ()
+    lifted: Lifted | None = None
+
+    def after(self, fitter: ContactFitter, new: Sequence[Difference]) -> "Suspicion":
+        """The suspicion after one more frame, of these scans."""
+        if _explained(fitter, new) is None:
+            return Suspicion()
+        scans = (*self.scans, *new) if self.frames else ()
+        found = _explained(fitter, scans) if self.frames >= _FRAMES else None
+        if self.frames < _FRAMES or found is None:
+            return Suspicion(self.frames + 1, scans[-_FRAMES * max(len(new), 1) :])
+        touches, left = found
+        return Suspicion(self.frames + 1, scans, Lifted(touches.params[:, :2], -touches.caused - left))
+
+
+def _explained(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Solution, Floats] | None:
+    """The touches whose lift alone explains scans, and what it leaves (n_pairs,) (ohm); None if contacts, or neither,
+    explain them better."""
+    known = [scan for scan in scans if scan.known]
+    if fitter.bipolar or not known:
+        return None
+    nominal, inflated = fitter.information(*(scan.negated for scan in known))
+    heights = fitter.heights(*fitter.scores(nominal.marginalised_common()))
+    if heights.max() < max(fitter.bar, -heights.min()):
+        return None
+    lifted = fitter.fit_information(nominal, inflated)
+    left = nominal.minus(lifted.caused).marginalised_common()
+    beside = fitter.uncovered(left, lifted.covered)
+    contact = -fitter.heights(*fitter.scores(beside)).min() - fitter.model_error * nominal.norm(lifted.caused)
+    if contact > fitter.bar or fitter.uncovered(nominal, lifted.covered).unexplained(lifted.caused) > _UNEXPLAINED:
+        return None
+    contacts = fitter.fit(*known)
+    more, less = (fitter.price(one, len(one.covered)) for one in (contacts, lifted))
+    return (lifted, left.drift()) if less < more else None
+
+
+def corrected(known: SkinModel, sheet: TransferModel, lifted: Lifted) -> SkinModel:
+    """The model of the skin as it is without the touches that were lifted.
+
+    Args:
+        known: As it was calibrated.
+        sheet: As `known` was made from.
+        lifted: The touches.
+    """
+    quiet = []
+    for frame in known.quiet.frames:
+        change = known.baseline.difference(frame).caused_by(lifted.change, known.pairs)
+        gains = 1.0 if known.channels is None else known.channels.of(frame.pattern)[0]
+        quiet.append(replace(frame, voltages=frame.voltages + gains * change))
+    return SkinModel(known.skin, sheet, quiet, known.quality)
