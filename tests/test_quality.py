@@ -27,6 +27,7 @@ from ohmskin.scan import (
     assess,
     left_out,
     measure_others,
+    opposite,
     reciprocity_residuals,
 )
 from ohmskin.sensing import SkinModel, drive_of, mode_named, perceive
@@ -285,6 +286,28 @@ def test_contacts_of_data_that_are_of_another_skin_are_not_believed(tank_folder:
             assert seen
             assert all((one.confidence > 0.9) == (order == range(16)) for one in seen)
             assert order == range(16) or max(one.confidence for one in seen) < 0.5
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_contacts_of_a_tank_that_only_warms_up_are_not_believed(factor: float) -> None:
+    skin = Skin.load("uef2017")
+    model, random = skin.transfer_model(), np.random.default_rng(0)
+    warm, beside = [], []
+    for pattern in (adjacent([range(16)]), opposite(range(16))):
+        rest, currents = model.voltages(pattern), np.ones(pattern.n_inj)
+        noise = 0.1 * abs(factor - 1) * np.sqrt(np.mean(rest**2))
+        near = ((model.mesh.centroids - [0.0, 0.06]) ** 2).sum(axis=1) < 0.02**2
+        sheet = TransferModel(model.mesh, skin.discs, model.conductivity * np.where(near, 10.0, 1.0))
+        for found, volts in ((warm, factor * rest), (beside, sheet.voltages(pattern))):
+            size = noise if found is warm else 0.01 * np.sqrt(np.mean((volts - rest) ** 2))
+            quiet, frame = (
+                [Frame(pattern, one + size * random.standard_normal(len(rest)), currents) for one in some]
+                for some in ([rest] * 10, [volts])
+            )
+            found += [one.confidence for one in perceive(SkinModel(skin, model, quiet), frame[0]).detections]
+    assert warm
+    assert max(warm) < 0.05
+    assert max(beside) > 0.95
 
 
 def test_no_current_no_signal_and_a_short_are_told_apart(model: TransferModel) -> None:

@@ -20,6 +20,7 @@ from ohmskin.recording.export import save_comparison, strongest
 from ohmskin.recording.player import reimage
 from ohmskin.scan import Frame, assess, left_out
 from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
+from ohmskin.sensing.confidence import common_change, common_confidence
 from ohmskin.skin import Skin, shipped_skins
 
 _DOUBTFUL = 0.1  # share of a frame's change that no image explains, from which on that is told
@@ -96,6 +97,10 @@ def image(
     if percept.belief.unexplained > _DOUBTFUL:
         share = f"{100 * percept.belief.unexplained:.0f} % of the change fits no change of this sheet's conductivity"
         print(f"# {share}: another skin, swapped wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr)
+    factor, alike = common_change(known, [known.difference(shown)])
+    if percept.detections and common_confidence(alike) < 1:
+        change = f"all voltages changed by {100 * factor:+.2g} %, which explains {100 * alike:.0f} % of the change"
+        print(f"# {change}: the conductivity as a whole, as with temperature; contacts are doubtful", file=sys.stderr)
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem}".strip()
     limit = full_scale(percept)

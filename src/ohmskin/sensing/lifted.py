@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter, Solution
 from ohmskin.forward import TransferModel
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, newest
 from ohmskin.sensing.model import SkinModel
 
-_FRAMES = 8  # in a row
+_FRAMES, _INJECTIONS = 8, 100  # in a row at least
+_PART = 0.7  # of the data, that one of them leaves at most
 _UNEXPLAINED = 0.3  # share of the data that lifted touches leave at most
 
 
@@ -49,10 +50,11 @@ class Suspicion:
         """The suspicion after one more frame, of these scans."""
         if _explained(fitter, new) is None:
             return Suspicion()
-        scans = (*self.scans, *new) if self.frames else ()
-        found = _explained(fitter, scans) if self.frames >= _FRAMES else None
-        if self.frames < _FRAMES or found is None:
-            return Suspicion(self.frames + 1, scans[-_FRAMES * max(len(new), 1) :])
+        scans = newest(new, self.scans, _INJECTIONS) if self.frames else ()
+        enough = self.frames >= _FRAMES and sum(scan.pattern.n_inj for scan in scans) >= _INJECTIONS
+        found = _explained(fitter, scans) if enough else None
+        if found is None:
+            return Suspicion(self.frames + 1, scans)
         touches, left = found
         return Suspicion(self.frames + 1, scans, Lifted(touches.params[:, :2], -touches.caused - left))
 
@@ -64,8 +66,12 @@ def _explained(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Solu
     if fitter.bipolar or not known:
         return None
     nominal, inflated = fitter.information(*(scan.negated for scan in known))
-    heights = fitter.heights(*fitter.scores(nominal.marginalised_common()))
+    scores = fitter.scores(nominal.marginalised_common())
+    heights = fitter.heights(*scores)
     if heights.max() < max(fitter.bar, -heights.min()):
+        return None
+    one = fitter.added(inflated, *scores)  # which takes a hundredth of the time of the contacts of swapped wires
+    if fitter.uncovered(nominal, tuple(fitter.covered(one.params))).unexplained(one.caused) > _PART:
         return None
     lifted = fitter.fit_information(nominal, inflated)
     left = nominal.minus(lifted.caused).marginalised_common()

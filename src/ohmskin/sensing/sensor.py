@@ -216,7 +216,8 @@ class Sensor:
             if not suspicion.frames:
                 if found is None or scans != measured.scans:
                     found = self._read(state, measured, scans, diagnosis, elapsed)
-                if self._surprises(state.belief, found[0]):
+                more = len(found[0].detections) > len(state.belief.detections)
+                if more or (self._unsure(found[0]) and self._every(state)):
                     suspicion = self._suspected(state, scans, diagnosis)
             if suspicion.frames:
                 found = self.reader.start(state.belief), self._recent(state, scans, diagnosis)
@@ -245,10 +246,13 @@ class Sensor:
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
-        every = state.turn // self.drive.scans % _EXAMINED == 0
         belief = state.belief
         troubled = state.diagnosis.troubled or state.suspicion.frames or belief.suspects or belief.degraded
-        return bool(every or troubled or self._unsure(belief))
+        return bool(self._every(state) or troubled or self._unsure(belief))
+
+    def _every(self, state: SensorState) -> bool:
+        """Whether this is one of the frames that are examined whatever they show."""
+        return state.turn // self.drive.scans % _EXAMINED == 0
 
     def _unsure(self, belief: Belief) -> bool:
         """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""
