@@ -427,3 +427,6 @@ def test_an_image_of_another_size_than_its_cells_is_refused() -> None:
     image = Image(np.ones(7), lambda elements: np.zeros(np.size(elements)))
     with pytest.raises(ModelError, match=f"an image has 7 values; its estimator must give {mesh.n_elem}, one per cell"):
         ohm.ContactFinder(0.3).find(image, mesh)
+    nothing = Image(np.full(mesh.n_elem, np.nan), lambda elements: np.zeros(np.size(elements)))
+    with pytest.raises(ModelError, match=f"{mesh.n_elem} of {mesh.n_elem} values of an image are not finite"):
+        ohm.ContactFinder(0.3).find(nothing, mesh)  # it had no contact, and nothing was said

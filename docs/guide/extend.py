@@ -76,4 +76,4 @@ for mode in ("mine", "mine-too"):
         touches = engine.touches()
         touch = [next(touches) for _ in range(8)][-1]
         x, y = touch.contacts[0].position
-        print(f"{mode}: felt at ({1e3 * x:.1f}, {1e3 * y:.1f}) mm, pressed at (50, 120) mm")
+        print(f"{mode}: felt at ({1e3 * x:.0f}, {1e3 * y:.0f}) mm, pressed at (50, 120) mm")

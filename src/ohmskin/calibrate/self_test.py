@@ -63,7 +63,8 @@ class SelfTest:
             found.append(f"{noisiest}: {in_words(n.worst)}; check its contact")
         if (o := self.offset) and o.rms > 5 * o.noise:
             most = f"{in_words(o.rms)} rms, most at electrode {o.worst_electrode}"
-            found.append(f"voltages have an offset of {most}; differences cancel it")
+            cancelled = "differences cancel it, but not where a touch changes the current, as of a voltage source"
+            found.append(f"voltages have an offset of {most}; {cancelled}")
         if (lin := self.linearity) and lin.error > max(_BENT, 5 * lin.noise):
             found.append(f"currents do not add up by {100 * lin.error:.2g} %: out of range, or a touched skin?")
         if (s := self.settling) and not s.settled:

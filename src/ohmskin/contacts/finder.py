@@ -68,10 +68,12 @@ class ContactFinder:
         """The contacts of an image made of `cells`, strongest peak first.
 
         Raises:
-            ModelError: If the image has not as many values as there are cells.
+            ModelError: If the image has not as many values as there are cells, or some are no finite numbers.
         """
         if (count := len(cells.measures)) != image.values.size:
             raise ModelError(f"an image has {image.values.size} values; its estimator must give {count}, one per cell")
+        if bad := np.count_nonzero(~np.isfinite(image.values)):
+            raise ModelError(f"{bad} of {count} values of an image are not finite; its estimator must give numbers")
         cut = self.cut(image)
         contacts = []
         for sign in (1, -1) if self.bipolar else (1,):

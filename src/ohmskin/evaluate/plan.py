@@ -98,7 +98,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     found["assumptions"] = _assumptions(settings)
     shapes = tuple(Shape(kind, SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE) for kind in SHAPES)
     found["fig6"]["pressed"] = experiments.PressedShapes(db, s, n, shapes)
-    return chosen(found, only, "figure")
+    return chosen({name: group for name, group in found.items() if group}, only, "figure")
 
 
 def _assumptions(settings: Settings) -> dict[str, Experiment]:
