@@ -2,6 +2,7 @@
 represented."""
 
 import io
+import json
 import struct
 import subprocess
 import sys
@@ -89,6 +90,16 @@ def test_uef_targets_are_found_within_nine_millimetres(uef_folder: Path, length:
             )
     assert np.mean(errors) < 7e-3  # 9 mm are asked for; 5.3 and 5.4 mm were measured
     assert max(errors) < 13e-3
+
+
+def test_of_too_many_contacts_in_one_image_none_is_sure(uef_folder: Path, tmp_path: Path) -> None:
+    """An image regularised too little has artefacts that noise alone does not explain, at the electrodes above all."""
+    words = "image", str(uef_folder / "datamat_2_1.mat"), "--prior", "tikhonov", "--json"
+    done = command_line.ohmskin(*words, cwd=tmp_path)
+    contacts = json.loads(done.stdout.splitlines()[-1])["contacts"]
+    assert len(contacts) > 16
+    assert max(contact["confidence"] for contact in contacts) == 0.0
+    assert f"{len(contacts)} contacts in one image are more than 16 electrodes show" in done.stderr
 
 
 def test_uef_orientation_matters(uef_folder: Path) -> None:

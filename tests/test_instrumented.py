@@ -17,6 +17,7 @@ from direct import DirectDevice
 from waiting import until
 
 from ohmskin.calibrate import ForceSampler, LoadCell, read_table
+from ohmskin.cli.options import say
 from ohmskin.client.cdr import CdrEncoder
 from ohmskin.device import connect
 from ohmskin.engine import Engine
@@ -191,13 +192,12 @@ def test_a_load_cell_calibrates_the_layer(
     monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, WRONG))
     quiet = Calibration(conductivity=PAPER.sheet.conductivity)
     monkeypatch.setattr("ohmskin.cli.calibrate.calibrate_quiet", lambda *_, **__: quiet)  # which takes long
-    real = open_load_cell
 
-    def opened(*given: Any) -> Any:
-        device.pressing = True
-        return real(*given)
+    def told(text: str) -> None:
+        device.pressing |= text.startswith("press anywhere with the load cell")
+        say(text)
 
-    monkeypatch.setattr("ohmskin.cli.calibrate.open_load_cell", opened)
+    monkeypatch.setattr("ohmskin.cli.calibrate.say", told)
     words = ["calibrate", "--force-from", f"serial://{line[1]}", "--samples", "5", "--output", "mine.toml"]
     done = ohmskin(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -205,6 +205,15 @@ def test_a_load_cell_calibrates_the_layer(
     assert found.layer_conductance == pytest.approx(PAPER.contact_layer.conductance, rel=0.25)
     assert found.forces[-1] == pytest.approx(9.0, rel=0.01)
     assert done.stdout.count(" of 5] ") == 5
+
+
+@pytest.mark.parametrize("source", ["serial:///dev/none", "zenoh:nowhere", "forces.csv"])
+def test_a_load_cell_that_cannot_be_read_is_told_before_the_skin_is_measured(tmp_path: Path, source: str) -> None:
+    done = ohmskin("calibrate", "--force-from", source, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "measuring" not in done.stdout
+    assert source.partition("//")[2] in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_used(tmp_path: Path) -> None:

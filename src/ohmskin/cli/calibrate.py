@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,9 +98,13 @@ def calibrate(
     path = output or Path(f"{description.name}-calibrated.toml")
     curve, sampler = None, ForceSampler(samples)
     guide: PressGuide | ForceSampler = sampler
-    with opened:
+    with ExitStack() as stack:
+        stack.enter_context(opened)
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
+        cell = LoadCell()
+        if force_from and not device.startswith("replay:"):
+            stack.callback(open_load_cell(force_from, force_topic, cell.update))  # likewise
         if device.startswith("replay:"):
             known, mode = _replayed(device.removeprefix("replay:"), force_from, sampler, mode, skin)
             calibrated, found = description, description.calibration.made_now(description.digest, ohmskin.__version__)
@@ -115,7 +120,7 @@ def calibrate(
                     if not engine.device.capabilities.virtual:
                         HEARTBEAT.end()  # it waits for presses
                     if force_from:
-                        _listen(engine, sampler, force_from, force_topic)
+                        _listen(engine, sampler, cell, force_from)
                     else:
                         guide = asked = PressGuide(plan)
                         _run_plan(engine, asked, calibrated)
@@ -191,30 +196,25 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
     return known, mode
 
 
-def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> None:
+def _listen(engine: Engine, sampler: ForceSampler, cell: LoadCell, source: str) -> None:
     """Take samples while somebody presses, until there are enough."""
-    cell = LoadCell()
-    end = open_load_cell(source, topic, cell.update)
     say(f"press anywhere with the load cell, one finger at a time, {sampler.count} times; hold each for a moment")
     idle = 0
-    try:
-        while not sampler.done:
-            touch = engine.step()
-            idle += 1
-            if touch is None or (known := engine.known) is None:
-                continue
-            scans = tuple(map(known.difference, touch.percept.frames))
-            beside = touch.percept.frames[-1].auxiliary
-            if sampler.add(touch.contacts, scans, cell.force, np.nan if beside is None else beside):
-                one, idle = sampler.samples[-1], 0
-                x, y = one.at
-                place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
-                say(f"    [{len(sampler.samples)} of {sampler.count}] {place}: strength {1e6 * one.strength:.3g} mm2")
-            elif idle > _IDLE:
-                why = "no force was received" if np.isnan(cell.force) else "no steady press was detected"
-                raise DeviceError(f"{why} in {_IDLE} cycles; the newest force from {source} is {cell.force:.3g} N")
-    finally:
-        end()
+    while not sampler.done:
+        touch = engine.step()
+        idle += 1
+        if touch is None or (known := engine.known) is None:
+            continue
+        scans = tuple(map(known.difference, touch.percept.frames))
+        beside = touch.percept.frames[-1].auxiliary
+        if sampler.add(touch.contacts, scans, cell.force, np.nan if beside is None else beside):
+            one, idle = sampler.samples[-1], 0
+            x, y = one.at
+            place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+            say(f"    [{len(sampler.samples)} of {sampler.count}] {place}: strength {1e6 * one.strength:.3g} mm2")
+        elif idle > _IDLE:
+            why = "no force was received" if np.isnan(cell.force) else "no steady press was detected"
+            raise DeviceError(f"{why} in {_IDLE} cycles; the newest force from {source} is {cell.force:.3g} N")
 
 
 def _run_plan(engine: Engine, guide: PressGuide, skin: Skin) -> None:

@@ -20,7 +20,7 @@ from ohmskin.recording.export import save_comparison, strongest
 from ohmskin.recording.player import reimage
 from ohmskin.scan import Frame, assess, left_out
 from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
-from ohmskin.sensing.confidence import common_change, common_confidence
+from ohmskin.sensing.confidence import common_change, common_confidence, crowd_confidence
 from ohmskin.skin import Skin, shipped_skins
 
 _DOUBTFUL = 0.1  # share of a frame's change that no image explains, from which on that is told
@@ -102,6 +102,9 @@ def image(
         change = f"all voltages changed by {100 * factor:+.2g} %, which explains {100 * alike:.0f} % of the change"
         print(f"# {change}: the conductivity as a whole, as with temperature; contacts are doubtful", file=sys.stderr)
     mesh, electrodes = known.model.mesh, description.electrodes
+    if crowd_confidence(count := len(percept.detections), len(electrodes)) < 1:
+        many = f"{count} contacts in one image are more than {len(electrodes)} electrodes show"
+        print(f"# {many}: noise or errors of the model; regularise more; contacts are doubtful", file=sys.stderr)
     title = f"{file.parent.name.replace('_', ' ')} {file.stem}".strip()
     limit = full_scale(percept)
     noise = known.noise * (1 if len(recording.quiet) > 1 else sqrt(2))  # of a single one, not of a difference

@@ -109,7 +109,8 @@ def robot(
 
         def listed(what: str, made: Iterable[T], total: int) -> list[T]:
             done = list[T]()
-            notify(f"{what}: 0 of {total} done")
+            if total:
+                notify(f"{what}: 0 of {total} done")
             for one in made:
                 done.append(one)
                 notify(f"{what}: {len(done)} of {total} done")

@@ -18,6 +18,7 @@ from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.confidence import (
     common_change,
     common_confidence,
+    crowd_confidence,
     fit_confidence,
     image_confidence,
     image_misfit,
@@ -121,6 +122,7 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
         return percept
     share, left = quiet_confidence(known, frame.pattern), belief.unexplained
     share *= common_confidence(common_change(known, [known.difference(frame)])[1])
+    share *= crowd_confidence(len(belief.detections), len(known.skin.electrodes))
     if not isinstance(sensor.reader, DetectionReader):  # whose image is judged by the sensor
         misfit, believed = image_misfit(known, [known.difference(frame)]), fit_confidence(left)
         share *= min(image_confidence(misfit) / believed, 1.0) if believed > 0 else 0.0  # contacts' part is counted

@@ -88,6 +88,12 @@ def common_change(known: SkinModel, scans: Sequence[Difference]) -> tuple[float,
     return factor, 1 - max(rest, 0.0) / changed if changed > 0 else 0.0
 
 
+def crowd_confidence(count: int, n_elec: int) -> float:
+    """How far `count` contacts in one image are believed (1): all up to half as many as there are electrodes, none from
+    as many on. More are noise and the errors of the model, as too little regularisation shows them."""
+    return min(max(2 - 2 * count / n_elec, 0.0), 1.0)
+
+
 def common_confidence(share: float) -> float:
     """How far contacts are believed where a common change of all voltages explains that share of the signal (1)."""
     low, high = _COMMON
