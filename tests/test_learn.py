@@ -248,6 +248,19 @@ def test_learn_reads_press_data_writes_a_skin_and_a_picture(tmp_path: Path) -> N
         assert ["unlike those of the skin that was learned" in said for said in changed_since(known)] == [True] * told
 
 
+def test_presses_without_places_teach_the_channels_alone(tmp_path: Path) -> None:
+    given = flawed_skin(36, 120)
+    file = table(replace(given, quiet=[], positions=np.full_like(given.positions, np.nan)), tmp_path / "presses.csv")
+    done = ohmskin("learn", str(file), "--output", str(tmp_path / "learned.toml"))
+    assert "# no row has a place or a force: all are taken for presses" in done.stderr
+    assert "# no press has a place: no map is learned" in done.stderr
+    found = Skin.load(tmp_path / "learned.toml").calibration
+    judged = judge_channels(given.skin, given.quiet, given.frames)
+    assert found.judged is not None
+    assert found.positions_learned is None
+    assert np.mean(found.judged.doubtful(judged.pattern) == judged.doubtful) > 0.9
+
+
 def test_press_data_of_matlab_with_a_reference_of_each_press_lose_their_drift(tmp_path: Path) -> None:
     given = flawed_skin(37, 40)
     volts = np.array([frame.voltages for frame in given.frames])
@@ -406,8 +419,8 @@ def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:
     file.write_text("x,y,a,b,c\n0.1,0.1,1,2,3\n")
     with pytest.raises(DataError, match=r"3 values a frame and no pattern; .*Put a table"):
         read_recording(file)
-    file.write_text("x,y,a,b,c\n,,1,2,3\n")
-    with pytest.raises(DataError, match="has no press with a place"):
+    file.write_text("x,y,force,a,b,c\n,,0,1,2,3\n")
+    with pytest.raises(DataError, match="has no press; need rows of values"):
         read_recording(file)
     savemat(tmp_path / "p.mat", {"voltages": np.ones((5, 208)), "positions": np.ones((4, 2))})
     with pytest.raises(DataError, match=r"voltages have shape \(208, 5\) for 4 positions"):

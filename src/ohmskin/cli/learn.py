@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from threadpoolctl import threadpool_limits
@@ -72,7 +73,11 @@ def learn(
             if recorded != "differences":
                 resting = Baseline.learn(recording.quiet).reference(judged.pattern)
             found = judged.put_into(found, resting)
-        if positions and recording.positions is not None:
+        places = recording.positions if positions else None
+        if places is not None and not np.isfinite(places).all(axis=1).any():
+            print("# no press has a place: no map is learned", file=sys.stderr)
+            places = None
+        if places is not None:
             known = SkinModel(
                 replace(description, calibration=replace(found, position_map="")),
                 model,
@@ -86,7 +91,7 @@ def learn(
                 recording.frames[0].pattern,
                 at,
                 changes,
-                recording.positions,
+                places,
                 max(x1 - x0, y1 - y0),
                 lambda share: shown.update(task, completed=share),
             )

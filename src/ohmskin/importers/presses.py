@@ -4,7 +4,8 @@ A text table has a header: ``x`` and ``y`` (metres; or ``x_mm``, ``y_mm``), perh
 value of a frame, in the order of the pattern. A MATLAB file has ``voltages`` (n_presses, n_values) and ``positions``
 (n_presses, 2) in metres, perhaps ``forces`` (n_presses,), and ``reference`` of the untouched skin, (n_frames,
 n_values), or a row for each press, from before it. Rows without a place (empty, or not a number) are of the untouched
-skin, and so are those whose force is 0 where others have one; unless they have a force or differ as presses do.
+skin, and so are those whose force is 0 where others have one; unless they have a force or differ as presses do. Where
+no row has either, all are presses.
 
 The pattern is in the MATLAB file, as EIDORS has it, or in a table beside the text (`ohmskin.importers.table`); without
 one it is adjacent drive, voltages between neighbours in the order of the electrodes' numbers, those of driven ones
@@ -166,8 +167,8 @@ def _recording(
     if kind not in VALUES:
         raise DataError(f"{name}: values = {shown(kind)}; choose from {', '.join(VALUES)}")
     pressed, notes = _pressed(values, places, forces, quiet)
-    if not (pressed & np.isfinite(places).all(axis=1)).any():
-        raise DataError(f"{name} has no press with a place; need rows with x and y")
+    if not pressed.any():
+        raise DataError(f"{name} has no press; need rows of values")
     values, places, quiet = values[pressed], places[pressed], np.vstack([quiet, values[~pressed]])
     forces = None if forces is None else forces[pressed]
     if pattern is None:
@@ -188,6 +189,8 @@ def _pressed(values: Floats, places: Floats, forces: Floats | None, quiet: Float
     `quiet` (n_quiet, n_values) what is known of the untouched skin beside them."""
     placed, notes = np.isfinite(places).all(axis=1), list[str]()
     forces = np.full(len(values), np.nan) if forces is None else forces
+    if not (placed | np.isfinite(forces)).any():
+        return np.ones(len(values), bool), ("no row has a place or a force: all are taken for presses",)
     resting = (forces == 0) & bool((forces > 0).any())
     sure = (forces > 0) | (placed & ~resting)
     if sure.any() and not sure.all():
