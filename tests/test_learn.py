@@ -420,7 +420,7 @@ def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"3 values a frame and no pattern; .*Put a table"):
         read_recording(file)
     file.write_text("x,y,force,a,b,c\n,,0,1,2,3\n")
-    with pytest.raises(DataError, match="has no press; need rows of values"):
+    with pytest.raises(DataError, match="has no press: no row has a place, or a force above 0"):
         read_recording(file)
     savemat(tmp_path / "p.mat", {"voltages": np.ones((5, 208)), "positions": np.ones((4, 2))})
     with pytest.raises(DataError, match=r"voltages have shape \(208, 5\) for 4 positions"):

@@ -168,7 +168,7 @@ def _recording(
         raise DataError(f"{name}: values = {shown(kind)}; choose from {', '.join(VALUES)}")
     pressed, notes = _pressed(values, places, forces, quiet)
     if not pressed.any():
-        raise DataError(f"{name} has no press; need rows of values")
+        raise DataError(f"{name} has no press: no row has a place, or a force above 0")
     values, places, quiet = values[pressed], places[pressed], np.vstack([quiet, values[~pressed]])
     forces = None if forces is None else forces[pressed]
     if pattern is None:
