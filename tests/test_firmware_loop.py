@@ -315,7 +315,8 @@ def test_one_pattern_and_scan_ahead_is_never_lost_and_more_do_no_harm(image: Pat
             line_to.write(pairs[0] + pairs[1])
             assert replies((9, FrameData)) == [(0, Ack), (8, FrameData), (1, Ack), (9, FrameData)]
             line_to.write(6 * (pairs[0] + pairs[1]))  # more than any ring holds
-            assert {Ack, FrameData} <= {kind for _, kind in replies(None)} <= {Ack, FrameData, Refusal}
+            came = replies((8, FrameData)) + replies(None)  # the first scan is never lost, however slow the board
+            assert {Ack, FrameData} <= {kind for _, kind in came} <= {Ack, FrameData, Refusal}
             assert greeted(991) or greeted(992)  # a held up emulator may still have a full ring the first time
             assert decoder.tally.damaged == 0
 
