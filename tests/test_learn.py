@@ -16,11 +16,12 @@ from ohmskin.calibrate.positions import PositionReport, learn_positions, novelty
 from ohmskin.drive import Fixed
 from ohmskin.errors import DataError, SkinError
 from ohmskin.importers import Recording, read_recording, resolved
-from ohmskin.scan import Frame, opposite
+from ohmskin.scan import Frame, adjacent, opposite
 from ohmskin.sensing import SkinModel, build, recorded_mode
 from ohmskin.sensing.identity import changed_since
 from ohmskin.skin import Skin
 from ohmskin.skin.positions import PositionMap
+from ohmskin.skin.virtual import VirtualSkin
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -405,6 +406,21 @@ def test_a_channel_of_noise_alone_makes_no_presses_of_quiet_rows_and_counts_keep
     assert "offset of 51" in " ".join(voltages.notes)
     scaled = pressed / np.abs(rest).max() * 200
     np.testing.assert_allclose([frame.voltages for frame in voltages.frames], scaled, atol=8.0)
+
+
+@pytest.mark.parametrize("force", [0.0, np.nan])
+def test_untouched_rows_beside_light_presses_are_no_presses(force: float, tmp_path: Path) -> None:
+    skin, pattern, random = Skin.load("paper-rim16"), adjacent([range(16)]), np.random.default_rng(0)
+    virtual = VirtualSkin(skin, seed=0)
+    rows = [[np.nan, np.nan, force, *virtual.scan(pattern).voltages] for _ in range(10)]
+    for x, y in random.uniform(0.015, 0.185, (40, 2)):
+        virtual.press(1, x, y, 7e-3, 15e3)
+        rows.append([x, y, 3.0, *virtual.scan(pattern).voltages])
+        virtual.press(1, x, y, 7e-3, 0.0)
+    names = ",".join(["x", "y", "force", *(f"v{k}" for k in range(208))])
+    np.savetxt(tmp_path / "presses.csv", rows, delimiter=",", header=names, comments="")
+    found = read_recording(tmp_path / "presses.csv")
+    assert (len(found.quiet), len(found.frames)) == (10, 40)
 
 
 def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:

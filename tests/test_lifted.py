@@ -9,7 +9,7 @@ from ohmskin.skin import Skin
 from ohmskin.skin.virtual import VirtualSkin
 
 RADIUS, PRESSURE = 7e-3, 20e3
-PLACES = [(0.102, 0.066), (0.124, 0.058), (0.029, 0.081), (0.06, 0.13)]  # m; the last beside an electrode
+PLACES = [(0.102, 0.066), (0.124, 0.058), (0.029, 0.081), (0.06, 0.13), (0.07, 0.066)]  # m; on an electrode the last
 
 
 def stepped(engine: Engine, count: int) -> list[Touch]:
@@ -22,11 +22,9 @@ def sure(touches: list[Touch]) -> int:
     return sum(any(one.confidence > 0.5 for one in touch.contacts) for touch in touches)
 
 
-@pytest.mark.parametrize(("mode", "most"), [("16P", 0), ("16T", 6)])  # tracking, of few injections, has single ones
+@pytest.mark.parametrize("mode", ["16P", "16T"])
 @pytest.mark.parametrize("place", PLACES)
-def test_a_touch_during_calibration_is_taken_off_once_it_is_lifted(
-    mode: str, most: int, place: tuple[float, float]
-) -> None:
+def test_a_touch_during_calibration_is_taken_off_once_it_is_lifted(mode: str, place: tuple[float, float]) -> None:
     """Ghosts of confidence 1 had stayed beside an electrode, and were told beside every press."""
     said: list[str] = []
     skin = VirtualSkin(Skin.load("paper"), seed=1)
@@ -35,13 +33,13 @@ def test_a_touch_during_calibration_is_taken_off_once_it_is_lifted(
         engine.calibrate()
         assert not sure(stepped(engine, 5))
         skin.press(1, *place, RADIUS, 0.0)
-        assert sure(stepped(engine, 40)) <= max(most, 3)
+        assert sure(stepped(engine, 40)) <= 3
         x, y = (1e3 * np.array(place)).tolist()
         (told,) = [line for line in said if "lifted" in line]
         around = [f"({x + a:.0f}, {y + b:.0f}) mm" for a in (-1, 0, 1) for b in (-1, 0, 1)]
         assert any(one in told for one in around)
         assert "lifted" in engine.message
-        assert sure(stepped(engine, 60)) <= most
+        assert not sure(stepped(engine, 60))
         for other in ((0.15, 0.15), place):
             skin.press(2, *other, RADIUS, PRESSURE)
             *_, last = stepped(engine, 15)
@@ -49,7 +47,7 @@ def test_a_touch_during_calibration_is_taken_off_once_it_is_lifted(
             assert np.hypot(*np.subtract(contact.position, other)) < 3e-3
             assert contact.confidence > 0.9
             skin.press(2, *other, RADIUS, 0.0)
-            assert sure(stepped(engine, 15)[5:]) <= most // 3
+            assert not sure(stepped(engine, 15)[5:])
 
 
 def test_a_contact_beside_one_that_is_lifted_is_not_swallowed() -> None:

@@ -48,7 +48,8 @@ _MOST_QUIET = 40
 _WEAK, _STRONG, _USUAL = 1e-3, 0.3, 0.02  # share of the quiet voltages that differences have: least, most, taken
 _ALIKE = 0.9  # share of the columns that are named alike, from which on others hold no values
 _NAMED = 8  # of them at most
-_AS_PRESSES = 0.3  # share of a usual press's change from which on a row is of one, too
+_FEW, _COMPONENTS = 8, 15  # principal components of presses' changes by which a row is held to be one: least, most
+_AS_PRESSES = 0.4  # share of a usual press's change from which on a row is of one, too
 _UNTOLD = 0.02  # share of a usual change that is taken for noise where nothing tells it
 _LEAST_SPREAD = 0.05  # over their size, of voltages, below which an offset is none of its own
 _OFFSET = 0.1  # times what is left without one, below which the quiet voltages have a common offset
@@ -197,7 +198,10 @@ def _pressed(values: Floats, places: Floats, forces: Floats | None, quiet: Float
         rest = _median(quiet if len(quiet) else values[~sure])
         changes = np.nan_to_num(values - rest)
         usual = np.sqrt((changes[sure] ** 2).mean(axis=0))  # each channel by its own: one may be noise alone
-        change = np.linalg.norm(changes / np.where(usual > 0, usual, np.inf), axis=1)
+        changes = changes / np.where(usual > 0, usual, np.inf)
+        if (most := int(sure.sum()) // 2) >= _FEW:  # most of noise is in no component of these
+            changes = changes @ np.linalg.svd(changes[sure], full_matrices=False)[2][: min(most, _COMPONENTS)].T
+        change = np.linalg.norm(changes, axis=1)
         sure |= change > _AS_PRESSES * np.median(change[sure])
     if lost := int((sure & ~placed).sum()):
         notes.append(f"{lost} rows without a place are presses: by their force, or by how much they differ")

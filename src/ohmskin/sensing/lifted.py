@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter, Solution
+from ohmskin.contacts.information import Information
 from ohmskin.forward import TransferModel
 from ohmskin.scan import Difference, newest
 from ohmskin.sensing.model import SkinModel
@@ -30,6 +31,13 @@ class Lifted:
 
     positions: Floats
     change: Floats
+
+    def refined(self, fitter: ContactFitter, scans: Sequence[Difference]) -> "Lifted":
+        """The same with the change that `scans` of the whole skin show, unless something else touches it now."""
+        data = fitter.information(*scans)[0]
+        if data.unexplained(self.change) > _UNEXPLAINED:
+            return self
+        return replace(self, change=self.change + _shown(fitter, data.minus(self.change)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +89,14 @@ def _explained(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Solu
         return None
     contacts = fitter.fit(*known)
     more, less = (fitter.price(one, len(one.covered)) for one in (contacts, lifted))
-    return (lifted, left.drift()) if less < more else None
+    return (lifted, _shown(fitter, nominal.minus(lifted.caused))) if less < more else None
+
+
+def _shown(fitter: ContactFitter, data: Information) -> Floats:
+    """The change (n_pairs,) that data show where nothing touches (ohm), that of contact impedances, too: touches on
+    electrodes have changed these."""
+    impedances = fitter.errors.drift(data)[0]
+    return impedances + data.minus(impedances).marginalised_common().drift()
 
 
 def corrected(known: SkinModel, sheet: TransferModel, lifted: Lifted) -> SkinModel:

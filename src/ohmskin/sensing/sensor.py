@@ -242,7 +242,8 @@ class Sensor:
         if _UNLIKE in diagnosis.recent_causes:  # the frames before count, too, however well this one is explained
             contacts = scaled_confidence(contacts, fit_confidence(diagnosis.unlike))
         reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
-        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, suspicion.lifted)
+        lifted = suspicion.lifted and self._remeasured(suspicion.lifted, diagnosis, scan)
+        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
@@ -287,9 +288,17 @@ class Sensor:
 
     def _suspected(self, state: SensorState, scans: tuple[Difference, ...], diagnosis: Diagnosis) -> Suspicion:
         """Whether touches that were there during calibration may have been lifted; none where data are spoilt."""
-        if self.fitter is None or any(cause.spoils for cause in diagnosis.recent_causes - {_UNLIKE}):
+        if self.fitter is None or _spoilt(diagnosis):
             return Suspicion()
         return state.suspicion.after(self.fitter, scans)
+
+    def _remeasured(self, lifted: Lifted, diagnosis: Diagnosis, scan: Scan) -> Lifted:
+        """Lifted touches with what they leave wherever a drive may look that has measured a part of it so far."""
+        if self.fitter is None or not self.drive.adjustable:
+            return lifted
+        frames = [scan(part) for part in self.drive.patterns[0].split(self.drive.injections)]
+        diagnosis, scans = self.detector.examine(diagnosis, frames, [self.known.difference(one) for one in frames], 0.0)
+        return lifted if _spoilt(diagnosis) else lifted.refined(self.fitter, scans)
 
     def _measure(self, state: SensorState, scan: Scan) -> Measured:
         if self.implementation is None or state.diagnosis.bad:
@@ -324,3 +333,8 @@ class Sensor:
                     base_estimate = self.locator.estimate(sound)
                     targets, located = self.locator.targets(sound, base_estimate, state.belief, located)
         return Measured(tuple(frames), tuple(scans), base_estimate, located=located)
+
+
+def _spoilt(diagnosis: Diagnosis) -> bool:
+    """Whether data have faults; that no contacts explain them is none."""
+    return any(cause.spoils for cause in diagnosis.recent_causes - {_UNLIKE})
