@@ -372,16 +372,30 @@ def test_a_driver_that_works_on_after_close_or_lies_about_its_size_fails() -> No
 def test_plugins_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     from importlib.metadata import EntryPoint
 
-    from ohmskin.device import registry
-
-    entry = EntryPoint("rig", "mux_and_daq:open_simulated", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry] if group == registry.GROUP else [])
+    entry = EntryPoint("rig", "mux_and_daq:open_simulated", "ohmskin.devices")
+    monkeypatch.setattr("ohmskin.registry.entry_points", lambda group: [entry] if group == entry.group else [])
     monkeypatch.setattr(mux_and_daq, "open_simulated", lambda url: rig_device(Rig()))
     assert drivers()["rig"] == "mux_and_daq:open_simulated"
     with connect("rig:simulated") as device:
         assert math.isclose(device.scan(TWO).currents[0], 2e-3)
     with pytest.raises(DeviceError, match="lacks a card"):
         mux_and_daq.open_rig("rig:/dev/ttyUSB0")
-    monkeypatch.setattr(mux_and_daq, "open_simulated", lambda url: {}["card"])
-    with pytest.raises(DeviceError, match=r"rig:simulated: the driver mux_and_daq:open_simulated .* KeyError: 'card'"):
-        connect("rig:simulated")
+    for wrong, why in (
+        (lambda url: {}["card"], r"does not work: KeyError: 'card'"),
+        (lambda url: None, "returned None, which is no Device"),
+    ):
+        monkeypatch.setattr(mux_and_daq, "open_simulated", wrong)
+        with pytest.raises(DeviceError, match=rf"driver 'rig' \(mux_and_daq:open_simulated\) {why}"):
+            connect("rig:simulated")
+    for scanned, why in (
+        (lambda pattern, timeout: {}["card"], "does not work: KeyError: 'card'"),
+        (lambda pattern, timeout: None, "gave None for a scan; it must be a Frame"),
+    ):
+        device = rig_device(Rig())
+        monkeypatch.setattr(device, "_scan", scanned)
+        monkeypatch.setattr(mux_and_daq, "open_simulated", lambda url, device=device: device)
+        with (
+            connect("rig:simulated") as opened,
+            pytest.raises(DeviceError, match=rf"driver 'rig' \(mux_and_daq:open_simulated\) {why}"),
+        ):
+            opened.scan(TWO)

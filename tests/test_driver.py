@@ -757,7 +757,7 @@ def test_the_registry_lists_its_choices(monkeypatch: pytest.MonkeyPatch, server:
     with pytest.raises(DeviceError, match="tcp: has no option 'speed'; it takes timeout"):
         connect(server.url, speed=3)
     assert {"tcp", "serial"} <= drivers().keys()
-    monkeypatch.setitem(registry.DRIVERS, "mine", "ohmskin.device.wire:WireDevice")
+    monkeypatch.setitem(registry.DRIVERS._own, "mine", "ohmskin.device.wire:WireDevice")
     with pytest.raises(DeviceError, match="no transport 'mine'"):
         connect("mine:x")
 

@@ -1,11 +1,13 @@
 """Sensors: any drive with any reader, any estimator; modes of a skin's own; parts that others register."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from ohmskin.device import Feature
 from ohmskin.device.demo import demo_finger
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, part_of
 from ohmskin.engine import Engine
-from ohmskin.errors import ModelError, PatternError, SkinError
+from ohmskin.errors import ModelError, OhmskinError, PatternError, SkinError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.shapes import disc
@@ -332,11 +334,66 @@ def smooth_prior(model):
 def test_a_package_that_cannot_be_loaded_is_told_and_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = EntryPoint("broken", "no_such_package:estimator", "ohmskin.estimators")
     monkeypatch.setattr(registry, "entry_points", lambda group: [broken] if group == broken.group else [])
-    why = "estimator 'broken' cannot be loaded from no_such_package:estimator: ModuleNotFoundError"
-    assert ESTIMATORS.title("broken").startswith(why)
+    why = r"estimator 'broken' \(no_such_package:estimator\) does not work: ModuleNotFoundError: .*; ask who made it"
+    assert re.match(why, ESTIMATORS.title("broken"))
     assert {*ESTIMATORS} > {"broken", "kalman"}
     with pytest.raises(ModelError, match=why):
         ESTIMATORS["broken"]
+
+
+def returns_none(*_):
+    """None, by another package."""
+
+
+def fails(*_):
+    """A KeyError, by another package."""
+    return {}["gain"]
+
+
+def fails_late(settings, *_):
+    """An estimator, a drive or a reader that fails when it is used, by another package."""
+    drive = {"patterns": (adjacent([range(12)]),), "scans": 1, "injections": 12, "adjustable": False, "next": fails}
+    reader = {"cells": PAPER.transfer_model().mesh, "estimator": None, "start": fails, "update": fails}
+    return SimpleNamespace(**drive, **reader, with_injections=fails)
+
+
+@pytest.mark.parametrize(("noun", "table"), [("drive", DRIVES), ("reader", READERS), ("estimator", ESTIMATORS)])
+@pytest.mark.parametrize(
+    ("made", "why"),
+    [
+        ("returns_none", "returned None, which is no "),
+        ("fails", r"does not work: KeyError: 'gain' \(test_sensing.py:"),
+        ("fails_late", r"does not work: KeyError: 'gain' \(test_sensing.py:"),
+        ("PLACES", r"is \[\(.*\)\], which is no function"),
+    ],
+)
+def test_a_package_that_fails_is_named(
+    monkeypatch: pytest.MonkeyPatch, noun: str, table: registry.Registry[Any], made: str, why: str
+) -> None:
+    entry = EntryPoint(made, f"{__name__}:{made}", table.group)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry] if group == table.group else [])
+    with pytest.raises(OhmskinError, match=rf"^{noun} '{made}' \({__name__}:{made}\) {why}"):
+        build(replace(Mode("any", "rim", "centroid"), **{noun: made}), known())
+
+
+def test_a_package_is_named_whose_code_raises_outside_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("theirs", f"{__name__}:fails_late", ESTIMATORS.group)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry] if group == ESTIMATORS.group else [])
+    monkeypatch.setattr(registry, "_CALLED", {})
+    late = ESTIMATORS["theirs"](None)
+    with pytest.raises(ModelError, match=r"estimator 'theirs' .*KeyError: 'gain'"), registry.naming(whoever=True):
+        late.start()
+    with pytest.raises(ZeroDivisionError), registry.naming():
+        1 / 0  # noqa: B018
+
+
+def test_a_name_that_two_things_have_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("kalman", f"{__name__}:twice_the_noise", ESTIMATORS.group)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry] if group == ESTIMATORS.group else [])
+    with pytest.raises(ModelError, match=r"'kalman' is ambiguous: ohmskin's own and .*; uninstall one"):
+        ESTIMATORS["kalman"]
+    assert "greit" in ESTIMATORS
+    assert [*ESTIMATORS].count("kalman") == 1
 
 
 def test_other_packages_add_theirs_by_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:

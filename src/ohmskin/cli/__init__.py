@@ -17,6 +17,7 @@ from cyclopts import App, CycloptsError, Group, Parameter
 import ohmskin
 from ohmskin.cli.heartbeat import HEARTBEAT, INTERRUPTED, interrupt
 from ohmskin.errors import OhmskinError, harmless
+from ohmskin.registry import naming
 
 _TOGETHER = {
     **dict.fromkeys(("scan", "check-device", "check-host"), "device"),
@@ -137,7 +138,7 @@ def _run(arguments: list[str]) -> None:
     _check_command(arguments)
     command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     signal.signal(signal.SIGINT, interrupt)
-    with _compiling():
+    with _compiling(), naming(whoever=True):
         command(*bound.args, **bound.kwargs)
 
 

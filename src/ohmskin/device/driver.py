@@ -8,7 +8,8 @@ from typing import final
 from ohmskin.closing import Closing
 from ohmskin.device.capabilities import Capabilities
 from ohmskin.device.press import PressCommand
-from ohmskin.errors import DeviceError, DeviceRefused
+from ohmskin.errors import DeviceError, DeviceRefused, shown
+from ohmskin.registry import Plugin, naming
 from ohmskin.scan import DrivePattern, Frame
 
 _LONGEST = 10.0  # s that a device may be late, by what it says it needs
@@ -28,6 +29,7 @@ class Device(Closing):
     reference: Sequence[Frame] = ()  # quiet frames that come with it, so that nobody need wait for new ones
     default_skin: str = "paper"  # the skin it most probably has
     default_mode: str = ""  # the mode that a recording begins in
+    plugin: Plugin | None = None  # the driver, if another package made it
 
     def __init__(self, url: str, capabilities: Capabilities) -> None:
         self.url = url
@@ -63,7 +65,10 @@ class Device(Closing):
         with self._lock:
             self._check_open()
             self.capabilities.check(pattern)
-            frame = self._scan(pattern, limit)
+            with naming(self.plugin):
+                frame = self._scan(pattern, limit)
+            if not isinstance(frame, Frame):
+                raise DeviceError(f"{self.plugin or self.url} gave {shown(frame)} for a scan; it must be a Frame")
             for listener in self._listeners:
                 listener(frame)
             return frame
@@ -91,14 +96,14 @@ class Device(Closing):
         press = PressCommand(number, *at, radius, pressure)
         if not self.capabilities.virtual:
             raise DeviceRefused(f"device {self.capabilities.name!r} is not virtual; press it with a finger")
-        with self._lock:
+        with self._lock, naming(self.plugin):
             self._check_open()
             self._press(press)
 
     @final
     def close(self) -> None:
         """Close the device. Safe to call twice."""
-        with self._lock:
+        with self._lock, naming(self.plugin):
             if not self._closed:
                 self._closed = True
                 self._close()

@@ -2,32 +2,34 @@
 
 import inspect
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
 from ohmskin.device.driver import Device
-from ohmskin.errors import DeviceError, OhmskinError
+from ohmskin.errors import DeviceError
+from ohmskin.registry import Registry
 
 GROUP = "ohmskin.devices"
-DRIVERS = {
+_OWN = {
     "replay": "ohmskin.device.replay:ReplayDevice",
     "serial": "ohmskin.device.wire:WireDevice",
     "tcp": "ohmskin.device.wire:WireDevice",
     "virtual": "ohmskin.device.virtual:VirtualDevice",
 }
+DRIVERS: Registry[str | Callable[..., Device]] = Registry("driver", GROUP, _OWN, DeviceError, Device)
+"""Drivers by scheme: ours as `module:callable`."""
 
 
 def drivers() -> dict[str, str]:
     """Scheme and `module:callable` of each driver, of ohmskin and of installed packages (group ohmskin.devices)."""
-    return {**{entry.name: entry.value for entry in entry_points(group=GROUP)}, **DRIVERS}
+    return {**{entry.name: entry.value for entry in DRIVERS.offered}, **_OWN}
 
 
 def scheme_of(url: str) -> str:
     """What an address begins with; raises DeviceError if there is no driver for it."""
     scheme, colon, _ = url.partition(":")
-    known = drivers()
-    if not colon or scheme not in known:
-        schemes = ", ".join(f"{name}:" for name in sorted(known))
+    if not colon or scheme not in DRIVERS:
+        schemes = ", ".join(f"{name}:" for name in sorted(DRIVERS))
         raise DeviceError(f"no driver for {url!r}; an address begins with one of {schemes}")
     return scheme
 
@@ -44,23 +46,14 @@ def connect(url: str, **options: Any) -> Device:
             another package fails.
         DeviceLost: If nothing answers.
     """
-    known, scheme = drivers(), scheme_of(url)
-    try:
-        return _opened(EntryPoint(scheme, known[scheme], GROUP), url, options)
-    except OhmskinError:
-        raise
-    except Exception as error:  # whatever another package may raise
-        if scheme in DRIVERS:
-            raise
-        why = f"{type(error).__name__}: {error}"
-        raise DeviceError(f"{url}: the driver {known[scheme]} cannot open it: {why}; ask who made it") from error
-
-
-def _opened(driver: EntryPoint, url: str, options: dict[str, Any]) -> Device:
-    opener: Callable[..., Device] = driver.load()
+    scheme = scheme_of(url)
+    driver = DRIVERS[scheme]
+    opener: Callable[..., Device] = EntryPoint(scheme, driver, GROUP).load() if isinstance(driver, str) else driver
     parameters = list(inspect.signature(opener).parameters.values())[1:]
     if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         allowed = [parameter.name for parameter in parameters]
         if unknown := sorted(options.keys() - set(allowed)):
-            raise DeviceError(f"{driver.name}: has no option {unknown[0]!r}; it takes {', '.join(allowed) or 'none'}")
-    return opener(url, **options)
+            raise DeviceError(f"{scheme}: has no option {unknown[0]!r}; it takes {', '.join(allowed) or 'none'}")
+    device = opener(url, **options)
+    device.plugin = DRIVERS.plugin(scheme)
+    return device

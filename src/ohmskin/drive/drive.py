@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +47,7 @@ class Target:
         return self.closest if len(self.closest) else np.asarray(self.position, float) + _TRIANGLE
 
 
+@runtime_checkable
 class Drive(Protocol):
     """Chooses the next pattern. Deterministic and stateless.
 

@@ -134,5 +134,6 @@ DRIVES: Registry[Callable[[DriveSettings, int], Drive]] = Registry(
         for drive in (rim, rings, opposite, best, eq7, local, position, tracking, rotating, rotating_best)
     },
     PatternError,
+    Drive,
 )
 """Drives by name."""

@@ -221,6 +221,7 @@ RULES: Registry[Callable[..., Choice]] = Registry(
         "evidence": evidence,
     },
     ModelError,
+    Choice,
 )
 """Rules for the regularisation parameter, by name; other packages add theirs as entry points of ``ohmskin.rules``."""
 

@@ -7,7 +7,7 @@ an `Estimator`, its docstring's first line the title. `FrameWise` makes one of a
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -58,6 +58,7 @@ def _estimated(image: Image) -> LazyEstimate:
     return LazyEstimate(lambda: image)
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Makes images of successive scans."""
 
@@ -276,7 +277,11 @@ def absolute_variation(s: EstimatorSettings) -> Estimator:
 
 _ESTIMATORS = (gauss_newton, positive, kalman, greit, total_variation, sparse_bayes, absolute, absolute_variation)
 ESTIMATORS: Registry[Callable[[EstimatorSettings], Estimator]] = Registry(
-    "estimator", "ohmskin.estimators", {make.__name__.replace("_", "-"): make for make in _ESTIMATORS}, ModelError
+    "estimator",
+    "ohmskin.estimators",
+    {make.__name__.replace("_", "-"): make for make in _ESTIMATORS},
+    ModelError,
+    Estimator,
 )
 """Estimators by name."""
 

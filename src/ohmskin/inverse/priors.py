@@ -273,6 +273,7 @@ PRIORS: Registry[Callable[[TransferModel], Prior]] = Registry(
         "matern": _matern,
     },
     ModelError,
+    Callable,  # type: ignore[arg-type]
     " (TotalVariation and SparseBayes are estimators)",
 )
 """Priors by name; other packages add theirs with an entry point of the group ``ohmskin.priors``."""
@@ -291,5 +292,6 @@ def penalty_of(model: TransferModel, prior: "Prior | str") -> Penalty:
         found = Penalty(matrix, places=mesh.centroids if len(mesh.centroids) == matrix.shape[0] else None)
     values = (found.matrix if found.image is None else found.image).shape[0]
     if values != mesh.n_elem:
-        raise ModelError(f"the prior is of {values} values; give {mesh.n_elem}, one for each element of the mesh")
+        named = f"prior {prior!r}" if isinstance(prior, str) else "the prior"
+        raise ModelError(f"{named} is of {values} values; give {mesh.n_elem}, one for each element of the mesh")
     return found

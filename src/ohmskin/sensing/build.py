@@ -5,14 +5,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ohmskin.contacts import ContactFinder, learn_threshold
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDriven
 from ohmskin.errors import DataError, ModelError
-from ohmskin.inverse.estimators import Estimator
-from ohmskin.registry import Registry
+from ohmskin.inverse import PRIORS, RULES
+from ohmskin.inverse.estimators import ESTIMATORS, Estimator
+from ohmskin.registry import Registry, naming
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.confidence import (
@@ -39,6 +41,7 @@ READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
     "ohmskin.readers",
     {"centroid": centroid, "fit": fit, "tracked": tracked, "learned": learned},
     ModelError,
+    Reader,
 )
 """Readers by name."""
 
@@ -79,6 +82,18 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool =
         ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
     """
     drive = drive or drive_of(mode, known.skin, known.quiet.driven is not None)
+    parts: list[tuple[Registry[Any], str]] = [(DRIVES, mode.drive), (READERS, mode.reader)]
+    parts += [(ESTIMATORS, mode.estimator), (PRIORS, mode.prior), (RULES, mode.rule)]
+    plugins = tuple(found for table, name in parts if (found := table.plugin(name)))
+    with naming(*plugins):
+        sensor = _built(mode, known, drive, fast)
+        if plugins:  # whose faults show now, not with the first frame
+            sensor.step(sensor.start(), lambda pattern: known.quiet.scan(pattern, 0))
+    sensor.plugins = plugins
+    return sensor
+
+
+def _built(mode: Mode, known: SkinModel, drive: Drive, fast: bool) -> Sensor:
     estimator = known.estimator(mode.estimator, mode.prior, mode.rule)
     imaging = known.skin.imaging
     if known.model.mesh.nodes.shape[1] != 2 and mode.reader != "centroid":

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -112,6 +112,7 @@ class Belief:
         return changed(self, tracks=tracks, drift=before.drift)
 
 
+@runtime_checkable
 class Reader(Protocol):
     """Estimates contacts and an image from the scans of a frame.
 

@@ -10,6 +10,7 @@ from ohmskin.contacts import Contact, Solution, on_skin
 from ohmskin.drive import Drive
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
+from ohmskin.registry import Plugin, naming
 from ohmskin.scan import Difference, DrivePattern, Frame, newest
 from ohmskin.sensing.confidence import as_measured, fit_confidence, image_misfit, scaled_confidence
 from ohmskin.sensing.detector import FaultDetector
@@ -157,6 +158,7 @@ class Sensor:
 
     Attributes:
         seconds: Time that its images of one frame take on this machine, as measured when it was made (s); 0: unknown.
+        plugins: Parts of other packages.
     """
 
     def __init__(
@@ -177,6 +179,7 @@ class Sensor:
         self.fitter = reader.fitter if isinstance(reader, FilterReader | FitReader | LearnedReader) else None
         self.implementation: Implementation | None = None
         self.seconds = 0.0
+        self.plugins: tuple[Plugin, ...] = ()
 
     def with_drive(self, drive: Drive) -> "Sensor":
         """The same sensor with another `drive`, its own with other injections a frame; its state stays valid."""
@@ -197,7 +200,14 @@ class Sensor:
 
         A frame without any valid value changes nothing; after 0.5 s of such frames there are no contacts. While values
         have spikes, a contact is reported only if two frames show it.
+
+        Raises:
+            OhmskinError: If parts of other packages fail; the message names them.
         """
+        with naming(*self.plugins):
+            return self._stepped(state, scan)
+
+    def _stepped(self, state: SensorState, scan: Scan) -> tuple[SensorState, Percept]:
         measured = self._measure(state, scan)
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
