@@ -228,5 +228,6 @@ def test_what_is_no_data_set_or_split_is_refused(tmp_path: Path) -> None:
     generate(tmp_path / "touches.zarr", RECIPE, 3, jobs=1)
     with pytest.raises(DataError, match="choose from train, validation, test"):
         TouchData(tmp_path / "touches.zarr", "dev")
-    with pytest.raises(DataError, match="choose 1 or more"):
-        next(TouchData(tmp_path / "touches.zarr").batches(0))
+    for size in (0, 2.5):
+        with pytest.raises(DataError, match=rf"batches of {size} samples; choose a whole number, 1 or more"):
+            next(TouchData(tmp_path / "touches.zarr").batches(size))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -244,12 +245,13 @@ def test_data_without_noise_still_make_an_image(noise: float) -> None:
     [
         ({"noise": 0.0}, "noise is 0.0; it must be finite and positive"),
         ({"noise": np.nan}, "noise is nan"),
+        ({"noise": np.full(3, 1e-6)}, r"noise is an array of shape \(3,\); give one number"),
         ({"amplitude": -1.0}, "amplitude is -1.0; it must be finite and positive"),
         ({"model_error": -0.1}, "model_error is -0.1; it must be finite and not negative"),
         ({"model_error": np.inf}, "model_error is inf"),
     ],
 )
-def test_settings_out_of_range_are_refused(settings: dict[str, float], message: str) -> None:
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         GaussNewton(model(), **{"noise": NOISE, **settings})
 

@@ -63,15 +63,17 @@ def value_of(entry: Any) -> st.SearchStrategy[Any]:
     return st.integers(math.ceil(low), math.floor(high)) if kind is int else st.floats(low, high)
 
 
-def any_table(kind: type) -> st.SearchStrategy[Any]:
-    return st.builds(kind, **{entry.name: value_of(entry) for entry in fields(kind)})
+def any_table(kind: type, **limits: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    return st.builds(kind, **{entry.name: value_of(entry) for entry in fields(kind)} | limits)
 
 
 skins = st.builds(
     Skin,
     name=st.text(),
     sheet=any_table(Sheet).map(lambda sheet: replace(sheet, shape="rectangle")),
-    electrode=any_table(ElectrodeLayout).filter(lambda electrode: electrode.layout != "listed"),
+    electrode=any_table(ElectrodeLayout, inset=st.floats(0, 4e-4)).filter(
+        lambda electrode: electrode.layout != "listed"
+    ),
     contact_layer=any_table(ContactLayer),
     excitation=any_table(Excitation),
     converter=any_table(Converter),
@@ -138,6 +140,7 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
         ("[sheet]\nwidth = 1" + 5000 * "0", "not valid TOML: Exceeds the limit"),
         ("[electrode]\ncolumns = 4.0", "electrode.columns is 4.0; it must be a whole number"),
         ("[electrode]\ncolumns = 1", "electrode.columns is 1; it must be 2 to 32"),
+        ("[electrode]\ninset = 0.2", "electrode: grid inset 0.2 m; it must be from 0 to below half of the sheet's"),
         ("[imaging]\nfuse = 1", "imaging.fuse is 1; it must be true or false"),
         ('[sheet]\nshape = "disc"', 'electrode.layout is "grid", which needs a rectangle or a sleeve; use "rim"'),
         ("[sheet", "not valid TOML"),

@@ -8,7 +8,7 @@ import numpy as np
 
 import ohmskin
 from ohmskin.dataset.recipe import Recipe
-from ohmskin.errors import DataError
+from ohmskin.errors import DataError, shown
 from ohmskin.skin import Skin
 
 SPLITS = {"train": (0, 1, 2, 3, 4, 5, 6, 7), "validation": (8,), "test": (9,)}
@@ -65,10 +65,10 @@ class TouchData:
             seed: Shuffles chunks, and samples within chunks; in order without one.
 
         Raises:
-            DataError: If `size` is not positive.
+            DataError: If `size` is not a positive whole number.
         """
-        if size < 1:
-            raise DataError(f"batches of {size} samples; choose 1 or more")
+        if not isinstance(size, int | np.integer) or size < 1:
+            raise DataError(f"batches of {shown(size)} samples; choose a whole number, 1 or more")
         random = None if seed is None else np.random.default_rng(seed)
         left: dict[str, np.ndarray] = {}
         chunks = np.unique(self.numbers // self._chunk)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 from scipy.linalg import qr
 
 from ohmskin.arrays import Floats, Ints, real
@@ -158,10 +159,17 @@ def regularised(normal: Floats, noise: float) -> Floats:
     return normal
 
 
+def _number(value: ArrayLike, name: str) -> float:
+    array = real(value, f"{name} is", ModelError)
+    if array.size != 1:
+        raise ModelError(f"{name} is an array of shape {array.shape}; give one number")
+    return float(array.item())
+
+
 def check_positive(**settings: float) -> None:
     """Raise ModelError unless every setting is finite and positive."""
     for name, value in settings.items():
-        number = float(real(value, f"{name} is", ModelError))
+        number = _number(value, name)
         if not (np.isfinite(number) and number > 0):
             raise ModelError(f"{name} is {number}; it must be finite and positive")
 
@@ -169,6 +177,6 @@ def check_positive(**settings: float) -> None:
 def check_share(**settings: float) -> None:
     """Raise ModelError unless every setting is finite and not negative."""
     for name, value in settings.items():
-        number = float(real(value, f"{name} is", ModelError))
+        number = _number(value, name)
         if not (np.isfinite(number) and number >= 0):
             raise ModelError(f"{name} is {number}; it must be finite and not negative")

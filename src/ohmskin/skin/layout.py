@@ -59,33 +59,30 @@ class ElectrodeLayout:
     def check(self, chart: Chart) -> None:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
         domain = chart.domain
-        if self.layout == "grid":
-            if not isinstance(without_holes(domain), Rectangle | Band):
-                told = 'electrode.layout is "grid", which needs a rectangle or a sleeve'
-                raise SkinError(f'{told}; use "rim", "even" or "listed"')
-            if domain.holes:
-                try:
-                    positions = self.on(chart).positions
-                except GeometryError as error:
-                    raise SkinError(f"electrode: {error}") from None
-                _check_holes(domain, positions, "electrode {} of the grid is at {}")
-        if self.layout != "listed":
-            if self.positions:
-                told = f'electrode.positions are given but the layout is "{self.layout}"'
-                raise SkinError(f'{told}; use layout = "listed"')
-            return
-        if len(self.positions) < 4:
+        listed, grid = self.layout == "listed", self.layout == "grid"
+        if grid and not isinstance(without_holes(domain), Rectangle | Band):
+            told = 'electrode.layout is "grid", which needs a rectangle or a sleeve'
+            raise SkinError(f'{told}; use "rim", "even" or "listed"')
+        if self.positions and not listed:
+            told = f'electrode.positions are given but the layout is "{self.layout}"'
+            raise SkinError(f'{told}; use layout = "listed"')
+        if listed and len(self.positions) < 4:
             raise SkinError(f"electrode.positions lists {len(self.positions)} electrodes; need at least 4")
-        _check_holes(domain, np.array(self.positions, float), "electrode.positions[{}] is {}")
-        depth = domain.depth(np.array(self.positions, float))
-        if (depth < -1e-6).any():
-            k = int(np.argmin(depth))
-            off = f"electrode.positions[{k}] is {list(self.positions[k])}, {-depth[k]:.3g} m off the sheet"
-            raise SkinError(f"{off}; move it onto it")
+        if listed:
+            _check_holes(domain, np.array(self.positions, float), "electrode.positions[{}] is {}")
+            depth = domain.depth(np.array(self.positions, float))
+            if (depth < -1e-6).any():
+                k = int(np.argmin(depth))
+                off = f"electrode.positions[{k}] is {list(self.positions[k])}, {-depth[k]:.3g} m off the sheet"
+                raise SkinError(f"{off}; move it onto it")
+        if self.layout == "even":  # which takes a while to place
+            return
         try:
-            self.on(chart)
+            positions = self.on(chart).positions
         except GeometryError as error:
-            raise SkinError(f"electrode.positions: {error}") from None
+            raise SkinError(f"electrode{'.positions' if listed else ''}: {error}") from None
+        if grid:
+            _check_holes(domain, positions, "electrode {} of the grid is at {}")
 
 
 def _check_holes(domain: Domain, positions: Floats, what: str) -> None:
