@@ -34,6 +34,8 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "
     )
 
 
+BODY = "examples/humanoid/body.toml"
+TOUCH = __file__  # a file that is there
 NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked for first
 
 
@@ -51,6 +53,16 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
         (["live", "--device", "replay:nosuch.csv"], "there is no file nosuch.csv; `ohmskin examples` writes two"),
         (["live", "--mode", "99Z"], "'99Z' is not possible"),
         (["export", "nosuch.mcap", "--to", "csv"], "there is no file nosuch.mcap"),
+        (["live", "--device", NOBODY, "--name", "arm"], "--name has no effect without --publish; leave it out"),
+        (["live", "--device", NOBODY, "--json", "--port", "9000"], "--port has no effect with --json; leave it out"),
+        (
+            ["live", "--device", NOBODY, "--estimator", "absolute", "--prior", "pixels"],
+            "'absolute' makes no image of pix",
+        ),
+        (["live", "--device", NOBODY, "--estimator", "greit", "--prior", "matern"], "'greit' has its own prior"),
+        (["replay", TOUCH, "--compare", "paper", "--speed", "2"], "--speed has no effect with --compare; leave it out"),
+        (["patches", BODY, "--joint-topic", "/x"], "--joint-topic has no effect without --joints; leave it out"),
+        (["robot", "--mode", "99Z"], "mode '99Z' is not possible with this skin; choose from 12B"),
         (["live", "--host", "0.0.0.0"], "token"),
         (["live", "--device", NOBODY, "--host", "0.0.0.0"], "give a token"),
         (["live", "--device", NOBODY, "--host", "192.0.2.1", "--token", "12345678"], "cannot listen on 192.0.2.1"),
@@ -75,6 +87,12 @@ def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], sa
     is_one_line(refused, says)
     if "tcp://127.0.0.1:1" not in arguments:  # which only who connects knows
         assert "open http" not in refused.stdout, "a page was opened that is good for nothing"
+
+
+def test_a_wrong_part_of_a_mode_is_told_before_a_device_is_opened(tmp_path: Path) -> None:
+    (skin := tmp_path / "mine.toml").write_text('[modes.mine]\ndrive = "rim"\nreader = "nosuch"')
+    refused = command_line.ohmskin("live", "--device", NOBODY, "--skin", str(skin), "--mode", "mine")
+    is_one_line(refused, "no reader 'nosuch'; choose from centroid, fit")
 
 
 def test_a_mistake_gets_one_clear_line_in_a_process_of_its_own() -> None:

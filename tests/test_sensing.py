@@ -222,7 +222,7 @@ def test_any_prior_makes_an_image(prior: str) -> None:
         ({"reader": "x"}, "no reader 'x'; choose from centroid, fit, tracked"),
         ({"estimator": "x"}, "no estimator 'x'; choose from gauss-newton, positive, kalman, greit"),
         ({"prior": "x"}, "no prior 'x'; choose from paper, laplacian, tikhonov, noser, matern"),
-        ({"rule": "x"}, "no rule 'x' .*; choose from physical, noise figure, cross-validation"),
+        ({"rule": "x"}, "no rule 'x'.*; choose from physical, noise figure, cross-validation"),
     ],
 )
 def test_an_unknown_name_lists_the_choices(change: dict, message: str) -> None:

@@ -26,6 +26,7 @@ from ohmskin.cli.options import (
     Stop,
     check_publishing,
     check_source,
+    refuse_unused,
     say,
 )
 from ohmskin.client import Patch
@@ -69,8 +70,9 @@ def live(
         refuse_existing(record)
     if publish:
         check_publishing(publish, page)
-    if not (headless or json):
-        page.check()
+    page.check("--headless" if headless else "--json" if json else "", bool(publish))
+    if not publish:
+        refuse_unused("without --publish", name=name != "skin", frame=frame != "skin")
     check_source(device, skin, mode)
     stop = Stop()
     lines = _Lines()

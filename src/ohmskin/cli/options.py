@@ -79,11 +79,12 @@ class _Imaging:
             return
         from ohmskin.inverse import PRIORS
         from ohmskin.inverse.choice import RULES
-        from ohmskin.inverse.estimators import ESTIMATORS
+        from ohmskin.inverse.estimators import ESTIMATORS, check_choice
 
         for option, table in (("estimator", ESTIMATORS), ("prior", [*PRIORS, "pixels"]), ("rule", RULES)):
             if (name := getattr(self, option)) and name not in table:
                 raise ModelError(f"no {option} {name!r}; choose from {', '.join(table)}")
+        check_choice(self.estimator or "gauss-newton", self.prior or "paper", self.rule or "physical")
 
 
 Imaging = Annotated[_Imaging, Parameter(name="*")]
@@ -113,8 +114,16 @@ class _Page:
         """Host, port and token."""
         return self.host, self.port, self.token or None
 
-    def check(self) -> None:
-        """Raise ViewError unless a page can be served there; asked before the device is opened, which takes a while."""
+    def check(self, instead: str = "", published: bool = False) -> None:
+        """Raise ViewError unless a page can be served there; asked before the device is opened, which takes a while.
+
+        Where an option `instead` says that there is none, raise OhmskinError if any is given that is for one; outlets
+        need a token, too.
+        """
+        if instead:
+            given = {"host": self.host != HERE.host, "port": self.port != HERE.port}
+            refuse_unused(f"with {instead}", **given, token=bool(self.token) and not published)
+            return
         check_address(*self.address)
         if self != HERE:
             from ohmskin.view.server import listen  # here: its web server takes a while to import
@@ -201,18 +210,23 @@ def open_skin(
         raise
 
 
+def refuse_unused(where: str, **given: object) -> None:
+    """Raise OhmskinError if an option of those that have no effect `where` this is so was given."""
+    for name in (name for name, value in given.items() if value):
+        raise OhmskinError(f"--{name.replace('_', '-')} has no effect {where}; leave it out")
+
+
 def check_source(device: str, skin: str, mode: str) -> None:
-    """Raise OhmskinError if it is plain before a device is opened that it, its skin or the mode of a virtual one cannot
-    be."""
+    """Raise OhmskinError if it is plain before a device is opened that it, its skin or the mode cannot be."""
     rest = device.partition(":")[2]
     virtual = scheme_of(device) == "virtual"
     if scheme_of(device) == "replay":
         check_recording(Path(rest.partition("?")[0]))
     described = Skin.load(skin or rest or "paper") if virtual else Skin.load(skin) if skin else None
-    if virtual and described and mode:
-        from ohmskin.sensing import mode_named  # here: help does not need it
+    if described and scheme_of(device) != "replay":
+        from ohmskin.sensing import check_parts, mode_named  # here: help does not need it
 
-        mode_named(described, mode)
+        check_parts(mode_named(described, mode))
 
 
 def check_recording(file: Path) -> None:

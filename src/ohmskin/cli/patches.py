@@ -9,7 +9,7 @@ from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
 from ohmskin.cli.arrivals import Arrivals
 from ohmskin.cli.heartbeat import HEARTBEAT
-from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, say
+from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, refuse_unused, say
 from ohmskin.client.contacts import Contacts
 from ohmskin.view.overview import Overview
 
@@ -46,10 +46,11 @@ def patches(
     """
     loaded = Body.load(body)
     check_publishing(publish, page)
-    if not headless:
-        page.check()
-        if loaded.robot and loaded.robot.unseen:
-            say(f"the page does not show meshes, which are on {', '.join(loaded.robot.unseen)}; it shows simple shapes")
+    page.check("--headless" if headless else "", bool(publish or joints))
+    if not joints:
+        refuse_unused("without --joints", joint_topic=joint_topic != "/joint_states")
+    if not headless and loaded.robot and loaded.robot.unseen:
+        say(f"the page does not show meshes, which are on {', '.join(loaded.robot.unseen)}; it shows simple shapes")
     stop = Stop()
     with ExitStack() as stack:
         all_patches = stack.enter_context(

@@ -15,6 +15,7 @@ from ohmskin.cli.options import (
     Seconds,
     check_picture,
     check_recording,
+    refuse_unused,
     watched,
 )
 from ohmskin.errors import OhmskinError
@@ -58,8 +59,9 @@ def replay(
     """
     check_recording(file)
     if compare:
-        if headless or json or loop:
-            raise OhmskinError("--compare writes a picture; leave out --headless, --json and --loop")
+        page.check("--compare")
+        played = {"speed": speed != 1, "start": start != 0, "rate": rate != 30, "loop": loop}
+        refuse_unused("with --compare", **played, headless=headless, json=json, seconds=seconds is not None)
         if imaging != AS_THE_MODE:
             raise OhmskinError("--compare names estimators and priors itself, such as --compare kalman:matern")
         _compare(file, compare.split(","), at, mode, skin, output or Path(f"{file.stem}.compare.png"))

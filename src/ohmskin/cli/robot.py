@@ -14,6 +14,7 @@ from ohmskin.body import Body
 from ohmskin.cli.options import Flag, check_seed
 from ohmskin.closing import every
 from ohmskin.errors import OhmskinError
+from ohmskin.sensing import check_parts, mode_named
 from ohmskin.skin import Skin
 
 if TYPE_CHECKING:
@@ -77,6 +78,10 @@ def robot(
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; create it first")
     loaded = Body.load(body) if body else Skin.load(skin or "paper")
+    for one in loaded.patches if isinstance(loaded, Body) else ():
+        check_parts(mode_named(one.skin, mode or one.mode))
+    if isinstance(loaded, Skin):
+        check_parts(mode_named(loaded, mode))
     from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
     from ohmskin.robot.strategies import STRATEGIES
 

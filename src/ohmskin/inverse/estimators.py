@@ -28,6 +28,7 @@ from ohmskin.registry import Registry
 from ohmskin.scan import Difference
 
 Scans = Sequence[Difference]
+_WITH_PRIOR = "greit", "total-variation", "sparse-bayes", "absolute-variation"
 _MEMORY = 0.1  # s: time over which the Kalman filter forgets an image; fingers move about a radius in it
 
 
@@ -210,19 +211,18 @@ def _by_rule(s: EstimatorSettings, own: Reconstructor, made_with: Callable[[floa
     return ByRule(own if isinstance(own, GaussNewton) else one_step, s.rule, made_with)
 
 
-def _without_rule(s: EstimatorSettings, name: str) -> None:
-    """Raise ModelError if a rule is asked for that an estimator without a quadratic prior of that amplitude lacks."""
-    if s.rule != "physical":
+def check_choice(estimator: str, prior: str, rule: str) -> None:
+    """Raise ModelError if an estimator of ours, by its name, has no use for a prior or a rule."""
+    if rule != "physical" and estimator in ("kalman", *_WITH_PRIOR):
         takes = "gauss-newton, positive and absolute take one"
-        raise ModelError(f"estimator {name!r} does not support the rule {s.rule!r}; {takes}, or use 'physical'")
-
-
-def _without_prior(s: EstimatorSettings, name: str) -> None:
-    """Raise ModelError if a prior or rule is asked for that an estimator with a prior of its own has no use for."""
-    _without_rule(s, name)
-    if s.prior != "paper":
+        raise ModelError(f"estimator {estimator!r} does not support the rule {rule!r}; {takes}, or use 'physical'")
+    if prior != "paper" and estimator in _WITH_PRIOR:
         takes = "gauss-newton, positive, kalman and absolute take one"
-        raise ModelError(f"estimator {name!r} has its own prior and cannot use {s.prior!r}; {takes}, or leave it out")
+        raise ModelError(
+            f"estimator {estimator!r} has its own prior and cannot use {prior!r}; {takes}, or leave it out"
+        )
+    if prior == "pixels" and estimator in ("positive", "kalman", "absolute"):
+        raise ModelError(f"estimator {estimator!r} makes no image of pixels; use gauss-newton, or another prior")
 
 
 def positive(s: EstimatorSettings) -> Estimator:
@@ -236,27 +236,27 @@ def positive(s: EstimatorSettings) -> Estimator:
 
 def kalman(s: EstimatorSettings) -> Estimator:
     """Kalman filter on images."""
-    _without_rule(s, "kalman")
+    check_choice("kalman", s.prior, s.rule)
     prior = {"amplitude": s.amplitude, "model_error": s.model_error}
     return Recursive(Kalman(s.model, s.noise, s.prior, time_constant=_MEMORY, **prior), s.model.mesh)
 
 
 def greit(s: EstimatorSettings) -> Estimator:
     """GREIT."""
-    _without_prior(s, "greit")
+    check_choice("greit", s.prior, s.rule)
     return FrameWise(Greit(s.model, s.noise), s.model.mesh)
 
 
 def total_variation(s: EstimatorSettings) -> Estimator:
     """Total variation."""
-    _without_prior(s, "total-variation")
+    check_choice("total-variation", s.prior, s.rule)
     own = TotalVariation(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
 
 def sparse_bayes(s: EstimatorSettings) -> Estimator:
     """Sparse Bayesian learning."""
-    _without_prior(s, "sparse-bayes")
+    check_choice("sparse-bayes", s.prior, s.rule)
     own = SparseBayes(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
@@ -269,7 +269,7 @@ def absolute(s: EstimatorSettings) -> Estimator:
 
 def absolute_variation(s: EstimatorSettings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages with total variation."""
-    _without_prior(s, "absolute-variation")
+    check_choice("absolute-variation", s.prior, s.rule)
     outline = 0.1 * float(np.ptp(s.model.mesh.nodes, axis=0).max())
     own = AbsoluteGaussNewton(s.model, s.noise, outline=outline, amplitude=s.amplitude, model_error=s.model_error)
     return FrameWise(own, s.model.mesh)

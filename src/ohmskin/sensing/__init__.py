@@ -1,6 +1,6 @@
 """From a mode to contacts: a sensor is a drive and a reader, with the model of a quiet skin."""
 
-from ohmskin.sensing.build import READERS, build, drive_of, perceive
+from ohmskin.sensing.build import READERS, build, check_parts, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
 from ohmskin.sensing.layer_fit import FittedLayer, KnownPress, fit_layer
@@ -37,6 +37,7 @@ __all__ = [
     "SkinModel",
     "Thresholds",
     "build",
+    "check_parts",
     "default_mode",
     "drive_of",
     "fit_layer",

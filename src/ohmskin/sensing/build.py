@@ -13,8 +13,8 @@ from ohmskin.contacts import ContactFinder, learn_threshold
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDriven
 from ohmskin.errors import DataError, ModelError
 from ohmskin.inverse import PRIORS, RULES
-from ohmskin.inverse.estimators import ESTIMATORS, Estimator
-from ohmskin.registry import Registry, naming
+from ohmskin.inverse.estimators import ESTIMATORS, Estimator, check_choice
+from ohmskin.registry import Plugin, Registry, naming
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.confidence import (
@@ -31,7 +31,7 @@ from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.locator import Locator
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.modes import recorded_mode
+from ohmskin.sensing.modes import RECORDED, recorded_mode
 from ohmskin.sensing.readers import DetectionReader, Reader, centroid, fit, tracked
 from ohmskin.sensing.sensor import Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
@@ -68,6 +68,21 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
     return WithDriven(drive) if driven else drive
 
 
+def check_parts(mode: Mode) -> tuple[Plugin, ...]:
+    """The parts of a mode that other packages made.
+
+    Raises:
+        OhmskinError: If there is no part of a name, or they do not go together; the message lists those there are.
+    """
+    parts: list[tuple[Registry[Any], str]] = [(DRIVES, mode.drive), (READERS, mode.reader)]
+    parts += [(ESTIMATORS, mode.estimator), (PRIORS, mode.prior), (RULES, mode.rule)]
+    for table, name in parts:
+        if name not in table and name not in (RECORDED.drive, "pixels"):
+            table[name]  # raises
+    check_choice(mode.estimator, mode.prior, mode.rule)
+    return tuple(found for table, name in parts if (found := table.plugin(name)))
+
+
 def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool = True) -> Sensor:
     """The sensor of a mode.
 
@@ -82,9 +97,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool =
         ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
     """
     drive = drive or drive_of(mode, known.skin, known.quiet.driven is not None)
-    parts: list[tuple[Registry[Any], str]] = [(DRIVES, mode.drive), (READERS, mode.reader)]
-    parts += [(ESTIMATORS, mode.estimator), (PRIORS, mode.prior), (RULES, mode.rule)]
-    plugins = tuple(found for table, name in parts if (found := table.plugin(name)))
+    plugins = check_parts(mode)
     with naming(*plugins):
         sensor = _built(mode, known, drive, fast)
         if plugins:  # whose faults show now, not with the first frame
