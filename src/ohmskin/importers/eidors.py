@@ -75,6 +75,8 @@ def pattern_of(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern
         return from_matrices(drive, [measure] * drive.shape[1], driven), None
     if "stim_meas_list" in variables:
         quads = numbers(variables["stim_meas_list"], "stim_meas_list")
+        if quads.min(initial=1) == 0:
+            raise DataError("stim_meas_list names electrode 0, but EIDORS counts from 1; add 1 to all of its numbers")
         return from_list(quads - 1, np.ones(len(quads)), driven), None
     raise DataError(
         "no pattern found: need a struct with a stimulation array (stim_pattern, meas_pattern), the matrices "
@@ -106,6 +108,11 @@ def _frames(
         raise DataError(f"no data named {' or '.join(names)}; there are {', '.join(sorted(variables)[:12])}")
     structs = entries(variables[key])
     values = [numbers(entry.get("meas"), f"{key}.meas") for entry in structs] or [numbers(variables[key], key)]
+    lengths = {imported.count} if select is None else {imported.count, len(select)}
+    for rows, across in (block.shape for block in values if len(block) > 1):
+        if rows not in lengths and across in lengths:
+            turned = f"{key} is {rows} x {across}, with a row for each frame"
+            raise DataError(f"{turned}; transpose it: a column for each, {across} x {rows}")
     columns = [column for block in values for column in (block.T if block.shape[0] > 1 else block)]
     if not columns:
         raise DataError(f"{key} has no frames; need at least one, a column for each")

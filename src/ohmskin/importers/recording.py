@@ -12,6 +12,11 @@ from ohmskin.mcap.messages import Role
 from ohmskin.mcap.reader import RecordingReader, is_recording
 
 _LARGEST_FILE = 64 * 2**20
+_FOREIGN = {
+    b"PK\3\4": "a ZIP archive, such as .npz or .xlsx",
+    b"\x93NUMPY": "an array of NumPy (.npy)",
+    b"\0\0\0\0": "binary, such as of MATLAB 4",
+}
 
 
 def read_recording(
@@ -83,6 +88,9 @@ def content_of(path: Path) -> bytes:
 
 
 def _text(content: bytes, path: Path) -> str:
+    for head, what in _FOREIGN.items():
+        if content.startswith(head):
+            raise DataError(f"{path} is {what}, which is not read; save it as a table (.csv), or for MATLAB with '-v7'")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -111,6 +111,9 @@ def _parse(text: str, name: str) -> _Table:
         raise DataError(f"{name}: {error}") from error
     if not rows:
         raise DataError(f"{name} is empty; a recording has a row per measurement")
+    if ";" in rows[0][0]:
+        told = f"{name}: the columns are separated by ';'"
+        raise DataError(f"{told}; separate them by commas, and write numbers with a point")
     header: tuple[str, ...] = ()
     if not _is_number(rows[0][0]):
         header = tuple(cell.lower() for cell in rows.pop(0))
