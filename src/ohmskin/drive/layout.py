@@ -61,12 +61,15 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
             to_corners(domain, domain.arc(rim), _AT) + 1e-9, domain.perimeter
         )  # rounding may put the rim's start at its end
         rim = domain.rim(np.sort(arc) - 1e-9)
-    middle = points.mean(axis=0)
-    away = inside - middle
-    turn = np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)
-    inside = inside[np.lexsort((np.hypot(*away.T), turn))]
+    inside = inside[_round(inside - points.mean(axis=0))]
     rings = [tuple(range(len(rim)))] + ([tuple(range(len(rim), len(points)))] if len(inside) else [])
     return Electrodes.at(np.vstack([rim, inside]), tuple(rings))
+
+
+def _round(away: Floats) -> Ints:
+    """The order (n,) in which places that are `away` (n, 2) from the middle come on a way round it."""
+    turn = np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)
+    return np.lexsort((np.hypot(*away.T), turn))
 
 
 class LayoutSearch:
@@ -111,20 +114,21 @@ class LayoutSearch:
         mesh = mesh_domain(domain, mesh_size, self.sites)
         known = conductivity(mesh) if callable(conductivity) else conductivity
         self._prior = ContactPrior.usual(radius)
+        self._unknown = np.linalg.inv(self._prior.covariance())
         self._noise, self._share, self._current, self._scale = noise, injections, current, scale
         self._products = _mean_products(TransferModel(mesh, Electrodes.at(self.sites), known), self.places, on_map)
         metres = scale(self.places)[:, None]  # an effect is so many square metres of the skin, a place metres of it
         self._products /= metres ** np.array([3, 3, 2, 2])
-        self._grams: dict[int, Floats] = {}
+        self._grams: dict[int, tuple[Ints, Floats]] = {}
+        self._along_rim = self._rim_order()
 
     def errors(self, chosen: Ints) -> Floats:
         """Position errors (n_places,) in metres with electrodes at the sites `chosen` (n_elec,)."""
-        n_elec = len(chosen)
-        i, j = all_pairs(n_elec).T
-        a, b = chosen[i], chosen[j]
+        pairs, gram = self._gram(len(chosen))
+        a, b = chosen[pairs]
         columns = self._products[a, a] + self._products[b, b] - 2 * self._products[a, b]  # (n_pairs, n_places, 4)
         columns = np.moveaxis(columns, 0, 1) * self._prior.effect
-        information = columns.swapaxes(1, 2) @ (self._gram(n_elec) @ columns) + np.linalg.inv(self._prior.covariance())
+        information = columns.swapaxes(1, 2) @ (gram @ columns) + self._unknown
         return np.asarray(np.sqrt(np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2)))
 
     def best(self, count: int) -> Electrodes:
@@ -137,17 +141,27 @@ class LayoutSearch:
         found = [self._exchanged(start) for start in self._starts(count)]
         return arranged(self.domain, self.sites[min(found, key=lambda pair: pair[0])[1]])
 
-    def _numbered(self, chosen: Ints) -> Ints:
-        electrodes = arranged(self.domain, self.sites[chosen])
-        away = shortest(self.sites[chosen][None] - electrodes.positions[:, None], self.domain.period)
-        order = np.linalg.norm(away, axis=2).argmin(axis=1)
-        return np.asarray(chosen[order], np.int64)
+    def _rim_order(self) -> Ints:
+        """The number (n_sites,) of each site of the rim if all of them are electrodes; -1 inside."""
+        sites, order = self.sites[self.on_rim], np.full(len(self.sites), -1)
+        away = shortest(sites[:, None] - arranged(self.domain, sites).positions, self.domain.period)
+        order[self.on_rim] = np.linalg.norm(away, axis=2).argmin(axis=1)
+        return order
 
-    def _gram(self, n_elec: int) -> Floats:
+    def _numbered(self, chosen: Ints) -> Ints:
+        """The same sites in the order in which `arranged` numbers them, in a fraction of its time."""
+        on_rim = self.on_rim[chosen]
+        rim, inside = chosen[on_rim], chosen[~on_rim]
+        inside = inside[_round(self.sites[inside] - self.sites[chosen].mean(axis=0))]
+        return np.concatenate([rim[self._along_rim[rim].argsort()], inside])
+
+    def _gram(self, n_elec: int) -> tuple[Ints, Floats]:
+        """The pairs (2, n_pairs) of so many electrodes, and what all injections say of their resistances."""
         if n_elec not in self._grams:
             complete = complete_pattern(n_elec)
             weights = whitened(complete, n_elec, self._noise, self._current)
-            self._grams[n_elec] = (weights.T @ weights).toarray() * (self._share / complete.n_inj)
+            gram = (weights.T @ weights).toarray() * (self._share / complete.n_inj)
+            self._grams[n_elec] = all_pairs(n_elec).T, gram
         return self._grams[n_elec]
 
     def _score(self, orbits: list[int]) -> float:
