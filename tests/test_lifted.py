@@ -9,7 +9,7 @@ from ohmskin.skin import Skin
 from ohmskin.skin.virtual import VirtualSkin
 
 RADIUS, PRESSURE = 7e-3, 20e3
-PLACES = [(0.102, 0.066), (0.124, 0.058), (0.029, 0.081), (0.06, 0.13), (0.07, 0.066)]  # m; on an electrode the last
+PLACES = [(0.102, 0.066), (0.124, 0.058), (0.029, 0.081), (0.06, 0.13)]  # m; the last beside an electrode
 
 
 def stepped(engine: Engine, count: int) -> list[Touch]:
@@ -48,6 +48,20 @@ def test_a_touch_during_calibration_is_taken_off_once_it_is_lifted(mode: str, pl
             assert contact.confidence > 0.9
             skin.press(2, *other, RADIUS, 0.0)
             assert not sure(stepped(engine, 15)[5:])
+
+
+@pytest.mark.parametrize("mode", ["16P", "16T"])
+def test_a_touch_on_an_electrode_during_calibration_leaves_nothing(mode: str) -> None:
+    """It changes the impedance of the electrode's contact, too."""
+    skin = VirtualSkin(Skin.load("paper"), seed=1)
+    skin.press(1, 0.07, 0.066, RADIUS, PRESSURE)
+    with Engine(lambda: DirectDevice(skin), Skin.load("paper"), mode) as engine:
+        engine.calibrate()
+        stepped(engine, 5)
+        skin.press(1, 0.07, 0.066, RADIUS, 0.0)
+        assert sure(stepped(engine, 40)) <= 3
+        assert "lifted" in engine.message
+        assert not sure(stepped(engine, 100))
 
 
 def test_a_contact_beside_one_that_is_lifted_is_not_swallowed() -> None:
