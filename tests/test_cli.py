@@ -63,6 +63,7 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
         (["replay", TOUCH, "--compare", "paper", "--speed", "2"], "--speed has no effect with --compare; leave it out"),
         (["patches", BODY, "--joint-topic", "/x"], "--joint-topic has no effect without --joints; leave it out"),
         (["robot", "--mode", "99Z"], "mode '99Z' is not possible with this skin; choose from 12B"),
+        (["robot", "--picture", "arm.jpg"], "--picture is arm.jpg; give a name that ends with .png"),
         (["live", "--host", "0.0.0.0"], "token"),
         (["live", "--device", NOBODY, "--host", "0.0.0.0"], "give a token"),
         (["live", "--device", NOBODY, "--host", "192.0.2.1", "--token", "12345678"], "cannot listen on 192.0.2.1"),

@@ -77,11 +77,12 @@ def robot(
     for path in (video, picture):
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; create it first")
+    if picture is not None and picture.suffix != ".png":
+        raise OhmskinError(f"--picture is {picture}; give a name that ends with .png")
     loaded = Body.load(body) if body else Skin.load(skin or "paper")
-    for one in loaded.patches if isinstance(loaded, Body) else ():
-        check_parts(mode_named(one.skin, mode or one.mode))
-    if isinstance(loaded, Skin):
-        check_parts(mode_named(loaded, mode))
+    skins = [(loaded, "")] if isinstance(loaded, Skin) else [(patch.skin, patch.mode) for patch in loaded.patches]
+    for one, its_mode in skins:
+        check_parts(mode_named(one, mode or its_mode))
     from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
     from ohmskin.robot.strategies import STRATEGIES
 

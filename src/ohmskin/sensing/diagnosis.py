@@ -120,7 +120,7 @@ class Diagnosis:
             case "degraded":
                 return f"the contact of electrode {electrodes} has degraded; tighten it, or calibrate again"
             case "current":
-                return f"no current flows between electrodes {electrodes}: one of them is open; left out"
+                return f"no current flows between electrodes {electrodes}: one of them is open, or both; left out"
             case "currents":
                 return "currents of some injections are implausible; left out"
             case "unlike":
