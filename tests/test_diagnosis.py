@@ -58,6 +58,23 @@ def device_of(engine: Engine) -> FaultyDevice:
     return engine.device
 
 
+def test_faults_of_a_slow_device_are_told_too(engine: Engine) -> None:
+    """Frames 0.7 s apart: there are never three of them within a second."""
+    device, clock, told = device_of(engine), [0.0], 0
+    for _ in range(10):
+
+        def late(frame: Frame) -> Frame:
+            volts = np.where(frame.pattern.uses([5]), np.inf, frame.voltages)
+            return replace(frame, voltages=volts, time=clock[0])
+
+        clock[0] += 0.7
+        device.spoil = late
+        touch = engine.step()
+        assert touch is not None
+        told += any(finding.cause.kind == "clipped" for finding in touch.percept.findings)
+    assert told >= 7
+
+
 def run(engine: Engine, frames: int) -> list[Touch]:
     touches = [engine.step() for _ in range(frames)]
     assert engine.state is State.RUNNING

@@ -124,6 +124,7 @@ class FaultDetector:
             unlike=unlike,
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
+            recent=Diagnosis.recent_for(elapsed),
         ).with_causes(causes, noise, suspected)
         return after, self.without_bad(after, cleaned)
 

@@ -12,7 +12,8 @@ from ohmskin.scan.quality import in_words
 
 MAINS = (50.0, 60.0)  # Hz
 HELD = 0.5  # s for which what was reported or believed is held without new data
-_CONFIRMED, _WITHIN = 3, 1.0  # times within s that something is detected before it is reported
+_CONFIRMED, _WITHIN = 3, 1.0  # times within s that something is detected before it is reported;
+_AT_LEAST = 4  # frames, if these are longer
 _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
@@ -64,6 +65,7 @@ class Diagnosis:
         unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since the last frame with any valid value (s).
+        recent: For how long a cause is a recent one (s).
     """
 
     findings: tuple[Finding, ...] = ()
@@ -79,11 +81,21 @@ class Diagnosis:
     unlike: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
+    recent: float = _WITHIN
+
+    @staticmethod
+    def recent_for(elapsed: float) -> float:
+        """For how long a cause is a recent one (s).
+
+        Args:
+            elapsed: Time between frames (s).
+        """
+        return max(_WITHIN, _AT_LEAST * elapsed)
 
     @property
     def recent_causes(self) -> set[Cause]:
-        """The causes of the last second."""
-        return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < _WITHIN}
+        """The causes of the last second, or of the last frames if these take longer."""
+        return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < self.recent}
 
     @property
     def troubled(self) -> bool:
@@ -101,7 +113,7 @@ class Diagnosis:
         occurrences = {
             one: at
             for one, times in self.occurrences.items()
-            if (at := tuple(t for t in times if self.time - t < _WITHIN))
+            if (at := tuple(t for t in times if self.time - t < self.recent))
         }
         occurrences |= {cause: (*occurrences.get(cause, ())[1 - _CONFIRMED :], self.time) for cause in causes}
         before = {finding.cause for finding in self.findings} | confirmed
