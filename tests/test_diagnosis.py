@@ -93,6 +93,45 @@ def spread(frame: Frame, change: Floats | float) -> Frame:
     return replace(frame, voltages=frame.voltages + change)
 
 
+@pytest.mark.parametrize("pair", [(3, 13), (6, 10)])
+def test_wires_that_are_exchanged_are_told_at_once_and_left_out(engine: Engine, pair: tuple[int, int]) -> None:
+    run(engine, 10)
+    device_of(engine).virtual.rewire(Fault("swap", pair))
+    touches = run(engine, 20)
+    words = "the wires of electrodes {} and {} are exchanged; left out".format(*pair)
+    assert all(words in [finding.words for finding in touch.percept.findings] for touch in touches)
+    assert sum(counts(touches)) == 0
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 20)[4:]
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < (9e-3 if engine.mode.name == "16O" else 3e-3)
+    engine.press(0, AT, RADIUS, 0.0)
+    device_of(engine).break_wire(None)
+    assert not run(engine, 80)[-1].percept.diagnosis.bad
+
+
+@pytest.mark.parametrize("pair", [(7, 8), (5, 6)])
+def test_wires_that_touch_each_other_are_no_touch_and_told_at_once(engine: Engine, pair: tuple[int, int]) -> None:
+    run(engine, 10)
+    device_of(engine).virtual.rewire(Fault("short", pair, 50.0))
+    touches = run(engine, 20)
+    words = "electrodes {} and {} touch each other, or their wires do; left out".format(*pair)
+    assert all(words in [finding.words for finding in touch.percept.findings] for touch in touches)
+    assert sum(counts(touches)) == 0
+    engine.press(0, AT, RADIUS, PRESSURE)
+    assert max(contact.confidence for touch in run(engine, 20) for contact in touch.contacts) <= 0.5
+    engine.press(0, AT, RADIUS, 0.0)
+    device_of(engine).break_wire(None)
+    assert not run(engine, 80)[-1].percept.diagnosis.bad
+
+
+def test_hard_presses_over_electrodes_are_no_faults_of_wires(engine: Engine) -> None:
+    skin, random = device_of(engine).virtual.skin, np.random.default_rng(3)
+    for x, y in np.clip(skin.electrodes.positions[:, :2], 3e-3, 0.197):
+        engine.press(0, (float(x), float(y)), random.uniform(5e-3, 30e-3), random.uniform(50e3, 150e3))
+        assert all(touch.percept.diagnosis.wires is None for touch in run(engine, 2))
+
+
 # --- against all networks ---------------------------------------------------------------------------------------------
 
 
@@ -257,6 +296,32 @@ def test_interference_without_a_pattern_makes_no_contacts_and_is_told(engine: En
     assert sum(counts(run(engine, 60))) == 0
     assert "the voltages contradict each other by" in engine.message
     assert "208 uV at rest" in engine.message
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_contacts_are_doubted_while_gains_of_channels_are_not_those_of_the_calibration(
+    engine: Engine, seed: int
+) -> None:
+    gains = 1 + 0.02 * np.random.default_rng(seed).standard_normal(16)
+    run(engine, 10)
+    device_of(engine).spoil = lambda frame: replace(
+        frame, voltages=frame.voltages * gains[frame.pattern.measurements[:, 1]]
+    )
+    touches = run(engine, 60)[10:]
+    assert "alike: gains of channels have changed; calibrate again" in engine.message
+    assert np.mean([any(contact.confidence > 0.6 for contact in touch.contacts) for touch in touches]) < 0.05
+
+
+@pytest.mark.parametrize("engine", ["16P", "16T"], indirect=True)
+def test_contacts_are_believed_while_noise_is_ten_times_as_strong(engine: Engine) -> None:
+    random = np.random.default_rng(4)
+    run(engine, 10)
+    device_of(engine).spoil = lambda frame: spread(frame, random.normal(0, 2e-3, frame.voltages.shape))
+    engine.press(0, AT, RADIUS, PRESSURE)
+    touches = run(engine, 60)[10:]
+    assert "interference, bad cables" in engine.message
+    assert min(contact.confidence for touch in touches for contact in touch.contacts) > 0.95
+    assert set(counts(touches)) == {1}
 
 
 def test_spikes_make_no_contacts_and_are_told(engine: Engine) -> None:

@@ -86,7 +86,7 @@ class NetworkData:
     def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: InstrumentErrors) -> None:
         patterns = tuple(scan.pattern for scan in scans)
         whole = joined(patterns)
-        self.quadruples, self._driven = whole.quadruples, whole.driven
+        self.quadruples, self._driven, self._n_elec = whole.quadruples, whole.driven, n_elec
         self.injection = whole.injection_numbers
         self.scan: Ints = np.repeat(np.arange(len(scans)), [pattern.n_meas for pattern in patterns])
         self._columns, signs, self._count = _resistances(whole, n_elec)
@@ -97,6 +97,16 @@ class NetworkData:
         if loading.any():
             self._entries[:, 4] = -loading * currents
         self._instrument = instrument
+
+    @property
+    def quadruple_numbers(self) -> Ints:
+        """(n_meas,) a number of each quadruple, different ones for different quadruples."""
+        return np.asarray(np.ravel_multi_index(tuple(self.quadruples.T), [self._n_elec] * 4))
+
+    def power(self, kept: Bools) -> float:
+        """Mean square (V2) of the changes of idle electrodes' voltages, of those of `kept` (n_meas,) that are known."""
+        volts = self._volts[kept & self.known & ~self._driven]
+        return float(volts @ volts) / max(len(volts), 1)
 
     def largest(self, kept: Bools) -> float:
         """The largest change (V) of those of `kept` (n_meas,) that are known."""

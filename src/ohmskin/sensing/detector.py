@@ -3,7 +3,8 @@
 Every scan is held against all resistive networks (`ohmskin.scan.coherence`), which needs no model of the sheet or of a
 touch. Where it contradicts them all, the least is left out that makes the rest agree: a few values, an injection, an
 electrode; an offset or hum on all voltages alike is taken off. If nothing helps, all data count less, by as much as
-they contradict each other. An electrode that was left out is used again when its data agree with the others'.
+they contradict each other. An electrode that was left out is used again when its data agree with the others'. Wires
+that are exchanged, or touch each other, contradict no network, but what they change is known (`ohmskin.sensing.wires`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,9 +18,11 @@ from ohmskin.arrays import Bools, Floats, changed
 from ohmskin.scan import Difference, Frame, newest
 from ohmskin.scan.coherence import Coherence, InstrumentErrors, NetworkData
 from ohmskin.scan.smoothing import smoothing_factor
+from ohmskin.sensing.contradiction import Contradiction
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset, without_spikes
+from ohmskin.sensing.wires import WireFaults
 
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
@@ -45,6 +48,7 @@ class FaultDetector:
     def __init__(self, known: SkinModel, window: int = 0) -> None:
         self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
         self._instrument = InstrumentErrors(known.white, known.gain, _MODEL)
+        self._wires = WireFaults(known)
         self._most = int(_MOST_BAD * self._n_elec)
         # near pairs all over a large skin measure next to nothing twice, and a network of all of them takes seconds
         self._redundant = known.pairs.whole
@@ -74,9 +78,11 @@ class FaultDetector:
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
         """
+        wires = self._wires.found(scans, before.wires)
+        scans = scans if wires is None else [wires.repaired(scan, self._known.pairs) for scan in scans]
         now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
-        suspected = {Cause("open", (suspect,)) for suspect in suspects}
+        suspected = {Cause("open", (suspect,)) for suspect in suspects} | ({wires.cause} if wires else set())
         causes |= suspected | {Cause("degraded", (electrode,)) for electrode in degraded}
         unlike = before.unlike + smoothing_factor(elapsed, _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
@@ -87,8 +93,9 @@ class FaultDetector:
         fits = [*(self._fit(scan, before.bad) for scan in scans), *before.fits][: len(looked)]
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
         remedy, error, unresolved, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
+        contradiction = Contradiction()
         if freedom and squares > limit(freedom) * freedom:
-            remedy, error = self._remedy(before, looked, len(scans))
+            remedy, error, contradiction = self._remedy(before, looked, len(scans))
             if remedy is None:
                 unresolved = before.unresolved + 1
                 error = max(error, *(noise * _at_most(*fit) for fit in fits[: len(scans)]))
@@ -109,6 +116,7 @@ class FaultDetector:
             rest = max(remedy.fit.noise / noise, 1.0)
             cleaned = tuple(scan.times(1 / (_NOT_ALIKE * rest)) for scan in cleaned)
         blamed = {e for cause in causes if cause.spoils for e in cause.electrodes}
+        blamed = {e for e in blamed if any(scan.pattern.uses([e]).any() for scan in scans)}
         blamed = blamed if len(blamed | before.bad.keys()) <= self._most else set()
         after = Diagnosis(
             findings=before.findings,
@@ -121,6 +129,8 @@ class FaultDetector:
             fits=tuple(fits),
             scans=() if not self._window else looked if remedy is None or remedy.off is not None else repaired,
             unresolved=unresolved,
+            contradiction=contradiction,
+            wires=wires.cause if wires else None,
             unlike=unlike,
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
@@ -159,11 +169,14 @@ class FaultDetector:
             self._last = scan, frozenset(bad), (fit.squares, fit.freedom)
         return self._last[2]
 
-    def _remedy(self, before: Diagnosis, scans: Sequence[Difference], newest: int) -> tuple[Remedy | None, float]:
-        """What makes scans agree, unless a search has just failed; and by how much they differ (V)."""
+    def _remedy(
+        self, before: Diagnosis, scans: Sequence[Difference], newest: int
+    ) -> tuple[Remedy | None, float, Contradiction]:
+        """What makes scans agree, unless a search has just failed; and by how much they differ (V), and how."""
         data, kept, whole = self._data(scans, before.bad)
+        left = before.contradiction.after(data, kept, whole, newest)
         if before.unresolved >= _EAGER and before.unresolved % _PATIENCE:
-            return None, whole.noise
+            return None, whole.noise, left
         times, hum = self._times(scans), Cause("offset") in before.recent_causes
         remedy = without_offset(data, kept, times) if self._window or hum else None  # mostly it lasts
         if self._window and remedy is None:
@@ -173,7 +186,7 @@ class FaultDetector:
                 remedy = without_offset(data, kept, times[: len(kept)])
         elif remedy is None:
             remedy = likeliest(data, kept, whole, times, self._most - len(before.bad))
-        return remedy, whole.noise
+        return remedy, whole.noise, left if remedy is None else before.contradiction
 
     def _watched(
         self, bad: Mapping[int, tuple[int, float]], scans: Sequence[Difference], elapsed: float, blamed: set[int]

@@ -1,27 +1,31 @@
 """Diagnosis: what is known to be wrong with the data and the wires they came over, in plain words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact
 from ohmskin.scan import Difference
 from ohmskin.scan.quality import in_words
+from ohmskin.sensing.confidence import fit_confidence, scaled_confidence
+from ohmskin.sensing.contradiction import Contradiction
 
 MAINS = (50.0, 60.0)  # Hz
 HELD = 0.5  # s for which what was reported or believed is held without new data
 _CONFIRMED, _WITHIN = 3, 1.0  # times within s that something is detected before it is reported;
 _AT_LEAST = 4  # frames, if these are longer
+_BRIDGED = 0.5  # how far contacts are believed while electrodes touch each other: the bridge acts on these, too
 _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
 class Cause(NamedTuple):
     """The kind of a fault of the data, and its electrodes.
 
-    Args: kind: ``open``, ``degraded``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``,
-            ``spikes``, ``injection``, ``offset`` or ``noise``.
+    Args: kind: ``open``, ``exchanged``, ``shorted``, ``degraded``, ``current``, ``currents``, ``unlike``, ``nothing``,
+            ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
 
@@ -32,6 +36,9 @@ class Cause(NamedTuple):
     def spoils(self) -> bool:
         """Whether data are doubtful because of it; what a loose contact does is known, and followed."""
         return self.kind != "degraded"
+
+
+UNLIKE, _SPIKES = Cause("unlike"), Cause("spikes")
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,8 @@ class Diagnosis:
         fits: Squared misfit and degrees of freedom of each of the newest scans that were examined, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         unresolved: Frames since the first contradiction whose cause is not found.
+        contradiction: What of the newest frames contradicts, if its cause is not found.
+        wires: Wires of the newest frame that are exchanged, or touch each other.
         unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since the last frame with any valid value (s).
@@ -78,6 +87,8 @@ class Diagnosis:
     fits: tuple[tuple[float, int], ...] = field(default=(), repr=False)
     scans: tuple[Difference, ...] = field(default=(), repr=False)
     unresolved: int = 0
+    contradiction: Contradiction = field(default=Contradiction(), repr=False)
+    wires: Cause | None = None
     unlike: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
@@ -101,6 +112,21 @@ class Diagnosis:
     def troubled(self) -> bool:
         """Whether there was any fault recently."""
         return bool(self.findings or self.bad or self.recent_causes)
+
+    def doubted(self, contacts: tuple[Contact, ...], before: Sequence[Contact]) -> tuple[Contact, ...]:
+        """Contacts as far as they can be believed beside the faults.
+
+        Args:
+            contacts: Those of a frame.
+            before: Those of the frame before.
+        """
+        if _SPIKES in self.recent_causes:  # one more may look like a light touch, for one frame
+            contacts = tuple(one for one in contacts if one.id in {old.id for old in before})
+        if UNLIKE in self.recent_causes:  # the frames before count, too, however well this one is explained
+            contacts = scaled_confidence(contacts, fit_confidence(self.unlike))
+        if self.wires is not None and self.wires.kind == "shorted":
+            contacts = scaled_confidence(contacts, _BRIDGED)
+        return self.contradiction.doubted(contacts)
 
     def with_causes(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
         """The same with the causes to report: seen several times recently, or reported before and seen recently.
@@ -129,6 +155,10 @@ class Diagnosis:
             case "open":
                 many = f"electrodes {electrodes} are" if len(cause.electrodes) > 1 else f"electrode {electrodes} is"
                 return f"{many} open, or a wire is loose; left out"
+            case "exchanged":
+                return f"the wires of electrodes {electrodes} are exchanged; left out"
+            case "shorted":
+                return f"electrodes {electrodes} touch each other, or their wires do; left out"
             case "degraded":
                 return f"the contact of electrode {electrodes} has degraded; tighten it, or calibrate again"
             case "current":
@@ -154,6 +184,8 @@ class Diagnosis:
                 contradiction = (
                     f"the voltages contradict each other by {in_words(self.error)} ({in_words(noise)} at rest)"
                 )
+                if self.contradiction.systematic:
+                    return f"{contradiction} in each frame alike: gains of channels have changed; calibrate again"
                 return f"{contradiction}: interference, bad cables, or touches faster than a scan; all get less weight"
 
 

@@ -12,9 +12,9 @@ from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.registry import Plugin, naming
 from ohmskin.scan import Difference, DrivePattern, Frame, newest
-from ohmskin.sensing.confidence import as_measured, fit_confidence, image_misfit, scaled_confidence
+from ohmskin.sensing.confidence import as_measured, image_misfit
 from ohmskin.sensing.detector import FaultDetector
-from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
+from ohmskin.sensing.diagnosis import HELD, UNLIKE, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.learned import LearnedReader
 from ohmskin.sensing.lifted import Lifted, Suspicion
@@ -28,7 +28,6 @@ Scan = Callable[[DrivePattern], Frame]
 """Drives a pattern once and returns its frame, such as `Device.scan`."""
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
-_SPIKES, _UNLIKE = Cause("spikes"), Cause("unlike")
 _NOVEL = Finding(
     Cause("novel"), "the data are outliers of the presses learned from: contacts are located by the physical model"
 )
@@ -247,11 +246,8 @@ class Sensor:
         turn = state.turn + len(measured.frames)
         recent = recent if self.window else ()
         after = SensorState(belief, turn, recent, now, diagnosis, presses, measured.located, suspicion)
-        if _SPIKES in diagnosis.recent_causes:  # one more may look like a light touch, for one frame
-            contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
-        if _UNLIKE in diagnosis.recent_causes:  # the frames before count, too, however well this one is explained
-            contacts = scaled_confidence(contacts, fit_confidence(diagnosis.unlike))
-        reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
+        believed = changed(belief, contacts=diagnosis.doubted(contacts, state.belief.contacts))
+        reported = placed(self._placement, believed, scans, self.known.pairs)
         lifted = suspicion.lifted and self._remeasured(suspicion.lifted, diagnosis, scan)
         return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted)
 
@@ -347,4 +343,4 @@ class Sensor:
 
 def _spoilt(diagnosis: Diagnosis) -> bool:
     """Whether data have faults; that no contacts explain them is none."""
-    return any(cause.spoils for cause in diagnosis.recent_causes - {_UNLIKE})
+    return any(cause.spoils for cause in diagnosis.recent_causes - {UNLIKE})
