@@ -1,5 +1,6 @@
 """Electrodes are placed by clicking on a skin in space, and the skin file has them."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from test_accessible import SCREENS, violations
 from waiting import until
 
+from ohmskin.errors import SkinError
 from ohmskin.skin import Skin
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.sheet import Sheet
@@ -55,6 +57,7 @@ def test_a_place_that_cannot_be_is_refused_in_words(tmp_path: Path) -> None:
     page = ElectrodePlacement(HOLED, tmp_path / "skin.toml")
     assert "off the sheet or in a hole" in placed(page, "place 0.08 0.075")["note"]
     assert "off the sheet" in placed(page, "place 0.5 0.07")["note"]
+    assert "y from 0.0 to 150.0 mm" in placed(page, "place 0.5 0.07")["note"]
     x, y = HOLED.electrodes.positions[0] + [0.0, 0.0045]
     assert "would overlap electrode 0" in placed(page, f"place {x} {y}")["note"]
     assert len(page.state()["electrodes"]) == 8
@@ -63,6 +66,28 @@ def test_a_place_that_cannot_be_is_refused_in_words(tmp_path: Path) -> None:
     for words in ("", "place 1", "place a b", "click 1 2", "remove 99", "place nan 0", "place 1e9 0", "bite"):
         with pytest.raises((ValueError, IndexError)):
             page.command(words)
+
+
+def test_a_place_round_a_sleeve_is_within_a_turn_and_the_seam_is_crossed(tmp_path: Path) -> None:
+    sleeve = replace(HOLED, sheet=Sheet(shape="cylinder", radius=0.05, height=0.15))
+    page, turn = ElectrodePlacement(sleeve, tmp_path / "skin.toml"), sleeve.domain.period
+    for x in (5.0, -999.0, 2.1 * turn):
+        assert "x from 0.0 to 314.2 mm" in placed(page, f"place {x} 0.07")["note"]
+        listed = ElectrodeLayout("listed", positions=((0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.1, 0.15), (x, 0.07)))
+        with pytest.raises(SkinError, match="off the sheet"):
+            replace(sleeve, electrode=listed)
+    found = placed(page, "clear", "place -0.01 0.07")["electrodes"]
+    np.testing.assert_allclose([(one["x"], one["y"]) for one in found], [(turn - 0.01, 0.07)])
+
+
+def test_a_skin_file_that_was_there_is_kept(tmp_path: Path) -> None:
+    target = tmp_path / "skin.toml"
+    target.write_text("# dear comments", encoding="utf-8")
+    assert (
+        "the one that was there is now skin-before-1.toml" in placed(ElectrodePlacement(HOLED, target), "save")["saved"]
+    )
+    assert (tmp_path / "skin-before-1.toml").read_text(encoding="utf-8") == "# dear comments"
+    assert Skin.load(target).electrode.layout == "listed"
 
 
 def test_clicks_on_the_page_place_electrodes_by_surface_coordinates(tmp_path: Path, chromium: Any) -> None:

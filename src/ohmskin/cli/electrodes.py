@@ -16,8 +16,8 @@ def electrodes(
     """Place electrodes by clicking on the skin in space; a button on the page writes the skin file.
 
     Args:
-        save: Skin file to write; SKIN-electrodes.toml in this folder unless given. It may be the skin's own file, whose
-            comments and calibration are then deleted.
+        save: Skin file to write; SKIN-electrodes.toml in this folder unless given. It may be the skin's own file; a
+            file that was there is kept under another name, as the new one has no calibration.
     """
     described = Skin.load(skin)
     target = save or Path(f"{described.name}-electrodes.toml")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import Floats, as_plain
-from ohmskin.cli.options import SkinName, check_picture, check_writable, write, write_skin
+from ohmskin.cli.options import SkinName, check_picture, check_writable, write_skin
 from ohmskin.drive import (
     DRIVES,
     Candidates,
@@ -35,6 +35,7 @@ from ohmskin.plot import ErrorMap, save_error_maps
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.sensing import default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
+from ohmskin.skin.files import write
 from ohmskin.skin.layout import ElectrodeLayout
 
 _PLACES = 700

@@ -7,7 +7,6 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +19,7 @@ from ohmskin.device import Device, connect
 from ohmskin.device.registry import scheme_of
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
 from ohmskin.skin import Fault, Skin
+from ohmskin.skin.files import save_skin
 from ohmskin.view.live import check_address
 
 if TYPE_CHECKING:
@@ -258,28 +258,10 @@ def say(sentence: str) -> None:
     print(sentence, flush=True)
 
 
-def write(path: Path, text: str) -> None:
-    """Write a file, or raise DataError."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error}; choose another place") from error
-
-
 def write_skin(path: Path, skin: Skin) -> None:
     """Write a skin's file, or raise DataError; one that was there is kept under another name, which is said."""
-    if not path.is_file():
-        write(path, skin.dump())
-        return
-    kept = next(name for k in count(1) if not (name := path.with_stem(f"{path.stem}-before-{k}")).exists())
-    fresh = path.with_name(f"{path.name}.new")
-    write(fresh, skin.dump())
-    try:
-        path.rename(kept)
-        fresh.rename(path)
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error}; the skin is in {fresh}") from error
-    say(f"the {path} that was there is now {kept}")
+    if kept := save_skin(path, skin):
+        say(f"the {path} that was there is now {kept}")
 
 
 def make_folder(folder: Path) -> None:

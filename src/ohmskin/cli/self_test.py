@@ -7,8 +7,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.calibrate import self_test as run_self_test
-from ohmskin.cli.options import Flag, SkinName, check_picture, make_folder, open_skin, write
+from ohmskin.cli.options import Flag, SkinName, check_picture, make_folder, open_skin
 from ohmskin.skin import Fault
+from ohmskin.skin.files import write
 
 
 def self_test(

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats
+from ohmskin.geometry.domain import Domain
 
 
 def shortest(offsets: Floats, period: float) -> Floats:
@@ -21,6 +22,12 @@ def folded(points: Floats, period: float) -> Floats:
         points[..., 0] %= period
         points[..., 0][points[..., 0] >= period] = 0.0  # a tiny negative number plus the period is the period
     return points
+
+
+def depth(domain: Domain, points: Floats) -> Floats:
+    """Distance (m) of places (n, 2) inside the rim, as `Domain.depth`; also below 0 more than a turn off a band."""
+    inside, (x, _) = domain.depth(points), points.T
+    return np.minimum.reduce([inside, x + domain.period, 2 * domain.period - x]) if domain.period else inside
 
 
 def tree(points: Floats, period: float = 0.0) -> cKDTree:

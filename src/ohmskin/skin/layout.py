@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
-from ohmskin.geometry import Band, Chart, Domain, Electrodes, Rectangle
+from ohmskin.geometry import Band, Chart, Domain, Electrodes, Rectangle, periodic
 from ohmskin.geometry.band import Edge
 from ohmskin.geometry.holes import without_holes
 from ohmskin.geometry.spread import spread
@@ -70,7 +70,7 @@ class ElectrodeLayout:
             raise SkinError(f"electrode.positions lists {len(self.positions)} electrodes; need at least 4")
         if listed:
             _check_holes(domain, np.array(self.positions, float), "electrode.positions[{}] is {}")
-            depth = domain.depth(np.array(self.positions, float))
+            depth = periodic.depth(domain, np.array(self.positions, float))
             if (depth < -1e-6).any():
                 k = int(np.argmin(depth))
                 off = f"electrode.positions[{k}] is {list(self.positions[k])}, {-depth[k]:.3g} m off the sheet"

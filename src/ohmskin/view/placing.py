@@ -12,13 +12,14 @@ from ohmskin.arrays import Floats
 from ohmskin.child import when_input_ends
 from ohmskin.client.contacts import Patch
 from ohmskin.closing import Closing
-from ohmskin.errors import OhmskinError
+from ohmskin.errors import DataError, OhmskinError
 from ohmskin.geometry import Raster
 from ohmskin.geometry.electrodes import to_corners
-from ohmskin.geometry.periodic import shortest
+from ohmskin.geometry.periodic import depth, folded, shortest
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import describe_domain
 from ohmskin.skin import Calibration, Skin
+from ohmskin.skin.files import save_skin
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.view.live import check_address, start_page
 from ohmskin.view.server import run, serve_page
@@ -134,11 +135,15 @@ class ElectrodePlacement:
     def _add(self, place: Floats) -> str:
         """Take a place, or say why not."""
         x, y = (1e3 * place).round(1)
-        if self._skin.domain.depth(place[None])[0] < -1e-6:
-            return f"({x}, {y}) mm is off the sheet or in a hole; choose another place"
+        domain = self._skin.domain
+        if depth(domain, place[None])[0] < -1e-6:
+            x0, y0, x1, y1 = (1e3 * np.array(domain.bounds)).round(1)
+            within = f"choose another place, x from {x0} to {x1} mm and y from {y0} to {y1} mm"
+            return f"({x}, {y}) mm is off the sheet or in a hole; {within}"
+        place = folded(place, domain.period)
         least = 2 * self._skin.electrode.radius / float(self._skin.chart.scale([place])[0])
         for number, other in enumerate(self._places):
-            if np.linalg.norm(shortest(place - other, self._skin.domain.period)) < least:
+            if np.linalg.norm(shortest(place - other, domain.period)) < least:
                 return f"({x}, {y}) mm would overlap electrode {number}; choose another place, or remove that"
         self._places.append(place)
         return ""
@@ -165,10 +170,10 @@ class ElectrodePlacement:
         places = tuple((x, y) for x, y in np.round(self._placed.electrodes.positions, 9).tolist())
         numbered = replace(self._placed, electrode=replace(self._placed.electrode, positions=places))
         try:
-            self._target.write_text(numbered.dump(), encoding="utf-8")
-            self._saved = str(self._target)
-        except OSError as error:
-            self._note = f"cannot write {self._target}: {error}; choose another place with --save"
+            kept = save_skin(self._target, numbered)
+            self._saved = f"{self._target}" + (f"; the one that was there is now {kept.name}" if kept else "")
+        except DataError as error:
+            self._note = str(error)
 
     async def converse(self, channel: WebSocket) -> None:
         """The shape, then the state after each word of the browser."""
