@@ -364,6 +364,7 @@ def test_help_needs_no_mujoco() -> None:
 def test_command_line_mistakes(tmp_path: Path) -> None:
     for arguments in (
         ["--pokes", "0"],
+        ["--pokes", "0", "--hugs", "1", "--max-force", "20"],
         ["--seed", "-1"],
         ["--picture", str(tmp_path / "no" / "arm.png")],
         ["--skin", "tank"],
@@ -378,7 +379,11 @@ def test_command_line_mistakes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--strategy", "bite"), *((f"--max-{of}", value) for of in ("force", "reaction") for value in ("nan", "-1", "0"))],
+    [
+        ("--strategy", "bite"),
+        ("--strategy", "follow"),
+        *((f"--max-{of}", value) for of in ("force", "reaction") for value in ("nan", "-1", "0")),
+    ],
 )
 def test_limits_and_strategies_that_are_none_are_refused_at_once(
     option: str, value: str, monkeypatch: pytest.MonkeyPatch
@@ -386,8 +391,16 @@ def test_limits_and_strategies_that_are_none_are_refused_at_once(
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: pytest.fail("calibrated"))
     done = ohmskin("robot", option, value)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"ohmskin: {option} is ")
+    assert done.stderr.startswith(f"ohmskin: {option} {'' if value == 'follow' else 'is '}")
     assert "choose" in done.stderr
+
+
+def test_a_robot_that_cannot_touch_itself_is_told_before_it_is_poked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.robot.engines", lambda *_: pytest.fail("calibrated"))
+    monkeypatch.setattr("ohmskin.robot.reach._TRIES", 1)
+    done = ohmskin("robot", "--self-touches", "1")
+    assert done.returncode == 2
+    assert "leave out --self-touches" in done.stderr
 
 
 def test_each_strategy_reacts_as_described() -> None:
@@ -427,7 +440,7 @@ def test_each_strategy_reacts_as_described() -> None:
         assert stood == pytest.approx(halted)
     with pytest.raises(ModelError, match="choose from yield, stiff, stop"):
         Demonstration(body, [device], strategy="bite")
-    with pytest.raises(ModelError, match="calibrate skin 'skin'"):
+    with pytest.raises(ModelError, match="skin 'skin' does not have; calibrate it"):
         Demonstration(arm(skin), [device], strategy="follow")
 
 
@@ -467,3 +480,6 @@ def test_pokes_and_free_motion_say_how_far_they_are_in_a_pipe_too(monkeypatch: p
     told = ohmskin("robot", "--pokes", "2", "--free", "600")
     assert "pokes: 1 of 2 done" in told.stderr
     assert "free motion: 42 of 600 s" in told.stderr
+    demonstration.pokes = lambda *_: []
+    told = ohmskin("robot", "--pokes", "0", "--free", "600")
+    assert (told.returncode, told.stdout) == (0, "0 false contacts in 600 s of free motion\n")

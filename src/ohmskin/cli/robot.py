@@ -8,10 +8,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 from rich.console import Console
 
 from ohmskin.body import Body
-from ohmskin.cli.options import Flag, check_seed
+from ohmskin.cli.options import Flag, check_seed, refuse_unused
 from ohmskin.closing import every
 from ohmskin.errors import OhmskinError
 from ohmskin.sensing import check_parts, mode_named
@@ -48,7 +49,7 @@ def robot(
     Args:
         body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
             Its skins are virtual here.
-        pokes: Number of pokes, at random places.
+        pokes: Number of pokes, at random places; 0 for the others alone.
         hugs: Then, number of times that pads of two arms press several skins at once, at random places.
         self_touches: Then, number of times that the robot touches itself, in random postures.
         free: Then, time for which it moves untouched (s), to count false contacts.
@@ -63,14 +64,19 @@ def robot(
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
         json: Print figures as JSON.
     """
-    for name, value, low in (("pokes", pokes, 1), ("hugs", hugs, 0), ("self-touches", self_touches, 0)):
-        if not low <= value <= _MOST:
-            raise OhmskinError(f"--{name} is {value}; choose {low} to {_MOST}")
+    for name, value in (("pokes", pokes), ("hugs", hugs), ("self-touches", self_touches)):
+        if not 0 <= value <= _MOST:
+            raise OhmskinError(f"--{name} is {value}; choose 0 to {_MOST}")
     for name, limit, unit in (("max-force", max_force, "N"), ("max-reaction", max_reaction, "s")):
         if not limit > 0:  # NaN likewise
             raise OhmskinError(f"--{name} is {limit} {unit}; choose more than 0, or leave it out for no limit")
     if not 0 <= free <= 36_000:
         raise OhmskinError(f"--free is {free} s; choose 0 to 36000")
+    if not pokes:
+        if not hugs and not self_touches and not free:
+            raise OhmskinError("--pokes is 0; choose 1 or more, or give --hugs, --self-touches or --free")
+        limits = {"max-force": max_force < math.inf, "max-reaction": max_reaction < math.inf}
+        refuse_unused("with --pokes 0", **limits)
     if body and skin:
         raise OhmskinError("the skins are those of the body file; leave out --skin or --body")
     check_seed(int, seed)
@@ -79,15 +85,15 @@ def robot(
             raise OhmskinError(f"there is no folder {path.parent}; create it first")
     if picture is not None and picture.suffix != ".png":
         raise OhmskinError(f"--picture is {picture}; give a name that ends with .png")
-    loaded = Body.load(body) if body else Skin.load(skin or "paper")
-    skins = [(loaded, "")] if isinstance(loaded, Skin) else [(patch.skin, patch.mode) for patch in loaded.patches]
-    for one, its_mode in skins:
-        check_parts(mode_named(one, mode or its_mode))
     from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
-    from ohmskin.robot.strategies import STRATEGIES
+    from ohmskin.robot.reach import way_to_itself
+    from ohmskin.robot.simulation import RobotSimulation
+    from ohmskin.robot.strategies import strategy_named
 
-    if strategy not in STRATEGIES:
-        raise OhmskinError(f"--strategy is {strategy!r}; choose from {', '.join(STRATEGIES)}")
+    poked = Body.load(body) if body else arm(Skin.load(skin or "paper"))
+    for placed in poked.patches:
+        check_parts(mode_named(placed.skin, mode or placed.mode))
+    strategy_named(strategy, poked)
     if video or picture:
         from ohmskin.robot.display import check_display
 
@@ -98,7 +104,9 @@ def robot(
     console = Console(stderr=True)
     with ExitStack() as stack:
         notify = stack.enter_context(_progress(console))
-        poked = loaded if isinstance(loaded, Body) else arm(loaded)
+        if self_touches:  # before an hour of pokes
+            notify("looking for postures in which it touches itself")
+            way_to_itself(RobotSimulation(poked), np.random.default_rng(seed))
         notify("calibrating" + (f" {len(poked.patches)} skins" if len(poked.patches) > 1 else ""))
         demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, strategy)
         shows = []
@@ -133,7 +141,7 @@ def robot(
 
         invented = demonstration.free(free, watch)
     if picture and not picture.exists():
-        console.print("no poke was detected; no picture was written")
+        console.print("no touch was detected; no picture was written")
     figures = summary(encounters, touches, hugged) | {"free_motion": free, "invented_in_free_motion": invented}
     over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, max_force, max_reaction)]
     for sentence in over:
@@ -166,7 +174,8 @@ def _progress(console: Console) -> Iterator[Callable[[str], None]]:
 
 def _print_report(figures: dict[str, Any]) -> None:
     """The figures, line by line."""
-    print(f"{figures['felt']} of {figures['pokes']} pokes detected, {figures['on_the_right_link']} on the right link")
+    if pokes := figures["pokes"]:
+        print(f"{figures['felt']} of {pokes} pokes detected, {figures['on_the_right_link']} on the right link")
     if figures["hugs"]:
         print(
             f"{figures['hugged_skins_felt']} of {figures['hugged_skins']} contacts of {figures['hugs']} hugs detected"

@@ -19,7 +19,7 @@ from ohmskin.robot.hands import Hand
 from ohmskin.robot.reach import way_to_itself
 from ohmskin.robot.scene import PADS
 from ohmskin.robot.simulation import Push, RobotSimulation, above
-from ohmskin.robot.strategies import STRATEGIES
+from ohmskin.robot.strategies import strategy_named
 from ohmskin.skin import Calibration, Press, Skin
 
 _WITHDRAW = 0.25  # m/s, of a place that tells no newtons
@@ -97,12 +97,8 @@ class Demonstration:
     ) -> None:
         if not all(engine.device.capabilities.virtual for engine in engines) or len(engines) != len(body.patches):
             raise ModelError("the demonstration needs a skin on the device virtual: for each patch")
-        if strategy not in STRATEGIES:
-            raise ModelError(f"no strategy {strategy!r}; choose from {', '.join(STRATEGIES)}")
-        self.body, self.engines, self.strategy, self.computing = body, tuple(engines), STRATEGIES[strategy], computing
-        uncalibrated = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
-        if self.strategy.needs_force and uncalibrated:
-            raise ModelError(f"{strategy!r} needs newtons; calibrate skin {uncalibrated[0]!r} with `ohmskin calibrate`")
+        self.body, self.engines, self.computing = body, tuple(engines), computing
+        self.strategy = strategy_named(strategy, body)
         self.simulation = RobotSimulation(body)
         self._self_touch = SelfTouch(body)
         self._links = {placed.patch.name: placed.patch.frame for placed in body.patches}

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ohmskin.body import Body
+from ohmskin.errors import ModelError
+
 _USUAL = 5.0  # N, taken for the force where none is estimated, as in the first frames of a contact
 _FASTEST = 0.25  # m/s, of a place that is touched
 _SOFT = 0.02  # m/s for each newton that is felt: the admittance
@@ -48,3 +51,18 @@ STRATEGIES = {
     "guide": ReactionStrategy("goes where it is pushed, and stays there", _admitted),
 }
 """By name, for `ohmskin robot --strategy`."""
+
+
+def strategy_named(name: str, body: Body) -> ReactionStrategy:
+    """The strategy of that name, for a robot in skins.
+
+    Raises:
+        ModelError: If there is none, or it needs newtons and a skin is not calibrated to them.
+    """
+    if name not in STRATEGIES:
+        raise ModelError(f"--strategy is {name!r}; choose from {', '.join(STRATEGIES)}")
+    uncalibrated = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
+    if STRATEGIES[name].needs_force and uncalibrated:
+        told = f"{name!r} needs newtons, which skin {uncalibrated[0]!r} does not have"
+        raise ModelError(f"--strategy {told}; calibrate it with `ohmskin calibrate`, or choose another strategy")
+    return STRATEGIES[name]
