@@ -1,9 +1,12 @@
 """The auxiliary channel: one sensor beside the electrodes that feels all of the skin: on the wire, in recordings, and
 in the forces of contacts."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from ohmskin.device.messages import FrameData
 from ohmskin.device.virtual import VirtualDevice
 from ohmskin.drive import complete_pattern
 from ohmskin.engine import Engine
+from ohmskin.engine.notices import Notices
 from ohmskin.errors import ProtocolError
 from ohmskin.mcap import Role
 from ohmskin.mcap.messages import decode_frame, encode_frame
@@ -128,6 +132,36 @@ def test_a_total_that_contacts_cannot_have_or_that_is_not_there_changes_nothing(
     assert fused(given, float("nan")) == given
     assert fused(given, 12.0, PAPER) == given
     assert TotalForce(Known(AIR, 100.0))(given, [frame(None)]) == given  # type: ignore[arg-type]
+
+
+def said(readings: Callable[[int], float | None], *forces: float, rest: float = 100.0, count: int = 40) -> list[str]:
+    """What a loop says over so many frames with contacts of these forces, a tenth of a second apart."""
+    told = list[str]()
+    notices, quiet = Notices(told.append), rest + np.random.default_rng(0).normal(0, 2, 40)
+    percept: Any = SimpleNamespace(contacts=tuple(contact(force, 0.2) for force in forces))
+    for number in range(count):
+        percept.frames = [replace(frame(readings(number)), time=0.1 * number)]
+        notices.auxiliary(Known(AIR, *quiet), percept)  # type: ignore[arg-type]
+    return told
+
+
+def test_a_channel_that_is_silent_stuck_or_unlike_the_contacts_is_told_once() -> None:
+    noise = np.random.default_rng(1).normal(0, 2, 40)
+    for readings, forces, rest, words in (
+        (lambda _: None, (), 100.0, "reads nothing, and forces are without it"),
+        (lambda _: np.nan, (5.0,), 100.0, "reads nothing, and forces are without it"),
+        (lambda k: 300 + noise[k], (5.0,), np.nan, "read nothing at rest and is not used"),
+        (lambda _: 100.0, (0.0,), 100.0, "has stuck at 100 Pa, and forces are wrong"),
+        (lambda k: -100 + noise[k], (0.0,), 100.0, r"shows -\S+ N, and forces are wrong; its sign"),
+        (lambda k: 20100 + noise[k], (5.0,), 100.0, r"shows \S+ N, the contacts 5 N; check the unit"),
+    ):
+        (told,) = said(readings, *forces, rest=rest)
+        assert re.search(words, told)
+    for quiet in ((), (5.0,), (2.0, 3.0)):
+        readings = 100 + 40 * sum(quiet) + noise
+        assert said(readings.__getitem__, *quiet) == []
+    assert said(lambda k: 100 + noise[k] if k % 5 else np.nan) == []
+    assert said(lambda k: np.nan if k < 20 else 100 + noise[k])[1:] == ["the auxiliary channel is plausible again"]
 
 
 def test_presses_of_known_force_tell_its_gain() -> None:

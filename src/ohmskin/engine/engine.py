@@ -154,6 +154,7 @@ class Engine(Closing):
             return None
         self._notices.unread("")
         self._notices.findings(percept.findings)
+        self._notices.auxiliary(self.known, percept)
         if percept.lifted is not None:
             self.known = corrected(self.known, self._sheet, percept.lifted)
             self._sensors.renew(self.mode, self.known)

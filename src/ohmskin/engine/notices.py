@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Sequence
 
+from ohmskin.engine.auxiliary import AuxiliaryCheck
 from ohmskin.errors import OhmskinError
-from ohmskin.sensing import Cause, Finding, SkinModel
+from ohmskin.sensing import Cause, Finding, Percept, SkinModel
 from ohmskin.sensing.identity import changed_since
 from ohmskin.sensing.lifted import Lifted
 from ohmskin.skin import Mode
@@ -28,7 +29,8 @@ class Notices:
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report, self.message = report, ""
-        self._unread, self._faults, self._awaited = False, "", ""
+        self._unread, self._faults, self._awaited, self._total = False, "", "", ""
+        self._auxiliary = AuxiliaryCheck()
         self._slow: Mode | None = None
         self._found: list[Cause] = []
 
@@ -45,7 +47,7 @@ class Notices:
         standing = "; ".join([*findings, *changed_since(known)])
         for sentence in [*notes, *([standing] if standing else []), *([_DETECTED] if detected else [])]:
             self._report(sentence)
-        self._faults = standing
+        self._faults, self._total, self._auxiliary = standing, "", AuxiliaryCheck()
         self.message = _DETECTED if detected else self._standing
 
     def lifted(self, touches: Lifted) -> None:
@@ -72,6 +74,15 @@ class Notices:
             self.message = words or self._standing
         self._found = causes
 
+    def auxiliary(self, known: SkinModel, percept: Percept) -> None:
+        """Report what is doubtful of the auxiliary channel, which holds while it is."""
+        if (doubt := self._auxiliary.doubt(known, percept)) == self._total:
+            return
+        self._report(doubt or "the auxiliary channel is plausible again")
+        self._total = doubt
+        if not self._found:
+            self.message = self._standing
+
     def unread(self, why: str) -> None:
         """Say why a frame cannot be read, such as by a rule that finds no parameter for its data; empty if it was."""
         if why:
@@ -93,7 +104,7 @@ class Notices:
 
     @property
     def _standing(self) -> str:
-        return "; ".join(part for part in (self._faults, self._awaited) if part)
+        return "; ".join(part for part in (self._faults, self._total, self._awaited) if part)
 
 
 def lost(error: OhmskinError) -> str:
