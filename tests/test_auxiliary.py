@@ -21,8 +21,10 @@ from ohmskin.drive import complete_pattern
 from ohmskin.engine import Engine
 from ohmskin.engine.notices import Notices
 from ohmskin.errors import ProtocolError
-from ohmskin.mcap import Role
+from ohmskin.mcap import RecordingReader, Role
 from ohmskin.mcap.messages import decode_frame, encode_frame
+from ohmskin.recording import Recorder
+from ohmskin.recording.export import FRAME_COLUMNS, frame_rows
 from ohmskin.scan import Frame
 from ohmskin.sensing.total import TotalForce
 from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
@@ -78,6 +80,14 @@ def test_recordings_keep_it_and_those_without_are_read(mode: str) -> None:
         if before is not None:  # as recorded before there was such a channel
             assert decode_frame(before).auxiliary is None
             assert decode_frame(before).mode == mode
+
+
+def test_the_exported_table_of_frames_has_it(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "air.mcap", AIR) as recorder, recorder.tee(DirectDevice(VirtualSkin(AIR, 5))) as device:
+        readings = [device.scan(next(complete_pattern(16).split(24))).auxiliary for _ in range(3)]
+    with RecordingReader(tmp_path / "air.mcap") as reader:
+        rows = list(frame_rows(reader))
+    assert list(dict.fromkeys(row[FRAME_COLUMNS.index("auxiliary")] for row in rows)) == readings
 
 
 class Known:

@@ -23,9 +23,10 @@ CONTACT_COLUMNS = ("time_s", "cycle", "mode", *columns())
 
 FRAME_COLUMNS = (
     *("time_s", "device_time_s", "sequence", "role", "mode", "source", "sink", "plus", "minus"),
-    *("current_A", "voltage_V"),
+    *("current_A", "voltage_V", "auxiliary"),
 )
-"""A row per measured voltage; `role` is untold, base, chosen or quiet."""
+"""A row per measured voltage; `role` is untold, base, chosen or quiet; `auxiliary` (N or Pa) is the frame's, empty
+without such a channel."""
 
 _ROWS_AT_ONCE = 65536
 _MOST_VALUES = 2**28  # of one array held in memory
@@ -49,7 +50,7 @@ def frame_rows(reader: RecordingReader, start: float = -np.inf, stop: float = np
         amperes, volts = frame.measurement_currents.tolist(), frame.voltages.tolist()
         rows = zip(pattern.quadruples.tolist(), amperes, volts, strict=True)
         for quadruple, current, voltage in rows:
-            yield (*head, *quadruple, current, voltage)
+            yield (*head, *quadruple, current, voltage, record.auxiliary)
 
 
 def write_csv(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, ...]]) -> int:
