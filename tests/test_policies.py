@@ -562,6 +562,7 @@ def test_the_command_runs_and_says_where_the_report_is(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, re.sub("[.]+\n|compiling, once.*\n", "", done.stderr)) == (0, "")
     assert "report: new/report.html" in done.stdout
+    assert done.stdout.startswith("experiments: cost 1\ncost: 1 of 1 done\n")
     assert "Choosing the next pattern" in (tmp_path / "new" / "report.md").read_text(encoding="utf-8")
 
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ohmskin.cli.options import Flag, Jobs, Names, Numbers, Scheduler
+from ohmskin.cli.options import Flag, Jobs, Names, Numbers, Scheduler, say
 from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.policies.comparison import POLICIES
 from ohmskin.evaluate.policies.plan import Settings as PolicySettings
@@ -65,7 +65,7 @@ def policies(
     goals.
 
     Args:
-        quick: Few seeds and trials: a minute or two on two cores.
+        quick: Few seeds and trials: ten minutes or more on two cores; with `--only time`, for one section, a minute.
         output: Folder for report.html, the same as report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
         only: Sections to make: static, driven, time, gain, moving, pairs, press, sensitivity, detection, quiet,
@@ -80,17 +80,26 @@ def policies(
 def _run(
     study: Study[S, Any], usual: S, given: dict[str, Any], output: Path, only: tuple[str, ...], **options: Any
 ) -> None:
-    """Run a study with a progress bar for each group, and say where its report is; for the options see `Study.run`."""
+    """Run a study and say where its report is; for the options see `Study.run`.
+
+    How far it is, is shown by a bar for each group on a terminal, elsewhere in a line for each experiment.
+    """
     settings = replace(usual, **{name: value for name, value in given.items() if value is not None})
     started, console = time.monotonic(), Console()
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         groups = study.plan(settings, only)
         shares = Counter(assign(groups).values())
+        finished = Counter[str]()
+        if progress.disable:
+            say(f"experiments: {', '.join(f'{group} {shares[group]}' for group in groups)}")
         bars = {group: progress.add_task(group, total=shares[group]) for group in groups}
 
         def done(group: str, task: Experiment, cached: bool) -> None:
             progress.advance(bars[group])
+            if progress.disable:
+                finished[group] += 1
+                say(f"{group}: {finished[group]} of {shares[group]} done")
 
         report = study.run(output, settings, only, progress=done, **options)
     console.print(f"report: {report}  ({time.monotonic() - started:.0f} s)", highlight=False, soft_wrap=True)

@@ -111,7 +111,7 @@ class Settings:
 
     @classmethod
     def quick(cls) -> Self:
-        """Smaller settings, which take a minute or two on two cores."""
+        """Smaller settings, which take ten minutes or more on two cores."""
         return cls(
             seeds=5,
             side=5,
