@@ -1,6 +1,7 @@
 """The plug-in of LeRobot: found by its name, contacts as a state vector, images as a camera. LeRobot itself need not be
 there: with it, one test more is found here (pip install lerobot integrations/lerobot)."""
 
+import importlib
 import importlib.util
 import runpy
 import subprocess
@@ -175,8 +176,37 @@ def test_a_robot_that_cannot_be_connected_is_left_disconnected(made: Any, broken
     assert not any(part.is_connected for part in (robot, arm, *cameras.values()))
 
 
-def test_a_robot_that_is_connected_stays_so_when_it_is_connected_again(made: Any) -> None:
+def test_a_robot_whose_skin_is_silent_is_not_connected(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = made(robot=Part(), cameras={})
+    monkeypatch.setitem(robot.connect.__globals__, "FIRST", 0.1)
+    with pytest.raises(TimeoutError, match="'skin' has not been heard of; is `ohmskin live --publish shm --name skin`"):
+        robot.connect()
+    assert not robot.is_connected
+    assert not robot.robot.is_connected
+
+
+@pytest.mark.parametrize(("missing", "told"), [("lerobot", "'lerobot>=0.4.4'"), ("torch", "torch")])
+def test_what_is_not_installed_is_named_with_the_line_that_installs_it(
+    missing: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Finder:
+        def find_spec(self, name: str, *_: Any) -> None:
+            if name.startswith("lerobot."):
+                raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+    monkeypatch.syspath_prepend(PACKAGE)
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("lerobot", NAME)]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "lerobot", ModuleType("lerobot"))
+    vars(sys.modules["lerobot"])["__path__"] = []
+    with pytest.raises(ModuleNotFoundError, match=f"needs the package '{missing}': pip install {told}$"):
+        importlib.import_module(NAME)
+
+
+def test_a_robot_that_is_connected_stays_so_when_it_is_connected_again(made: Any, board: Board) -> None:
+    robot = made(robot=Part(), cameras={})
+    board.write(pack(touched(1), PATCHES[:1]))
     robot.connect()
     with pytest.raises(ConnectionError, match=r"call disconnect\(\) first"):
         robot.connect()

@@ -6,9 +6,8 @@ import numpy as np
 from lerobot.cameras.camera import Camera
 
 from lerobot_robot_ohmskin.config import OhmskinCameraConfig
-from lerobot_robot_ohmskin.observe import Pictures
+from lerobot_robot_ohmskin.observe import FIRST, Pictures
 
-_FIRST = 5.0  # s, to wait for the first image
 _SILENT = 0.5  # s, without an image, beyond which none is given
 
 
@@ -36,7 +35,7 @@ class OhmskinCamera(Camera):
         """
         pictures = Pictures(self.config.skin, (self.config.width or 64, self.config.height or 64), self.config.full)
         try:
-            pictures.wait(_FIRST)
+            pictures.wait(FIRST)
         except BaseException:
             pictures.close()
             raise

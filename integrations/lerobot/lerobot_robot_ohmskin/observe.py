@@ -9,6 +9,9 @@ import numpy as np
 from ohmskin.client import BoardReader, Client
 from ohmskin.client.points import point_names, points
 
+FIRST = 5.0
+"""Seconds to wait for a skin to be heard."""
+
 _HEAD = struct.Struct("<Qq")  # of an image: its number, and its last sample (ns since 1970)
 _NAP = 0.001  # s
 
@@ -39,6 +42,22 @@ class Contacts:
                 f"skin {self._skin!r} {since}; is `ohmskin live --publish shm --name {self._skin}` running?"
             )
         return dict(zip(self.names, points(newest.contacts, self._most), strict=True))
+
+    def wait(self, timeout: float) -> None:
+        """Return once the skin is heard.
+
+        Raises:
+            TimeoutError: If it is silent for so many seconds.
+        """
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                self.read()
+                return
+            except TimeoutError:
+                if time.monotonic() > end:
+                    raise
+            time.sleep(_NAP)
 
     def close(self) -> None:
         self._client.close()

@@ -10,7 +10,7 @@ from lerobot.robots.robot import Robot
 from lerobot.robots.utils import make_robot_from_config
 
 from lerobot_robot_ohmskin.config import OhmskinRobotConfig
-from lerobot_robot_ohmskin.observe import Contacts
+from lerobot_robot_ohmskin.observe import FIRST, Contacts
 
 
 class OhmskinRobot(Robot):
@@ -49,6 +49,7 @@ class OhmskinRobot(Robot):
 
         Raises:
             ConnectionError: If they are connected.
+            TimeoutError: If the skin is silent.
         """
         if self.is_connected:
             raise ConnectionError("the robot is connected; call disconnect() first")
@@ -58,6 +59,7 @@ class OhmskinRobot(Robot):
             for camera in self.cameras.values():
                 camera.connect()
             self._contacts = Contacts(self.config.skin, self.config.contacts, self.config.max_age)
+            self._contacts.wait(FIRST)
         except BaseException:
             self.disconnect()
             raise
