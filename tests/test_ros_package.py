@@ -109,6 +109,7 @@ class Ros:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, skins: Any) -> None:
         self.services: dict[str, Any] = {}
+        self.offered: list[str] = []
         self.groups: dict[str, Any] = {}
         self.threads = 0
         error = type("ParameterException", (Exception,), {})
@@ -120,6 +121,7 @@ class Ros:
 
         def service(_: Any, name: str, answer: Any, callback_group: Any = None) -> None:
             self.services[name], self.groups[name] = answer, callback_group
+            self.offered.append(name)
 
         def executor(num_threads: int) -> SimpleNamespace:
             self.threads = num_threads
@@ -144,14 +146,23 @@ class Ros:
         self.main = runpy.run_path(str(PACKAGE / "scripts" / "commands.py"))["main"]
 
 
+def test_services_are_in_the_namespace_of_the_node_and_offered_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+    ros = Ros(monkeypatch, ["skin", "skin"])
+    ros.main()
+    assert ros.offered == ["ohmskin/tare", "ohmskin/set_mode"]  # names without a slash in front are relative
+
+
 def test_a_silent_skin_does_not_keep_the_services_of_others_waiting(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
     ros = Ros(monkeypatch, ["skin", "torso.left"])
     ros.main()
-    prefixes = ("/ohmskin", "/ohmskin/torso/left")
-    assert list(ros.services) == [f"{prefix}/{what}" for prefix in prefixes for what in ("tare", "set_mode")]
+    prefixes = ("ohmskin", "ohmskin/torso/left")
+    assert sorted(ros.services) == sorted(f"{prefix}/{what}" for prefix in prefixes for what in ("tare", "set_mode"))
     first, second = ({id(ros.groups[f"{prefix}/{what}"]) for what in ("tare", "set_mode")} for prefix in prefixes)
     assert len(first) == len(second) == 1
     assert first != second
@@ -159,7 +170,7 @@ def test_a_silent_skin_does_not_keep_the_services_of_others_waiting(
     monkeypatch.setattr(
         "ohmskin.client.Commands.set_mode", lambda skin, mode: (_ for _ in ()).throw(PublishError(mode))
     )
-    told = ros.services["/ohmskin/set_mode"](SimpleNamespace(mode="16Z"), SimpleNamespace())
+    told = ros.services["ohmskin/set_mode"](SimpleNamespace(mode="16Z"), SimpleNamespace())
     assert (told.success, told.message) == (False, "16Z")
 
 

@@ -31,17 +31,17 @@ def answered(response, command, *arguments):
 
 
 def serve(node, name):
-    """Offer the services of a skin, which wait for one another, but for no other skin's."""
-    commands, group = Commands(name), MutuallyExclusiveCallbackGroup()
+    """Offer the services of a skin, in the node's namespace; they wait for one another, but for no other skin's."""
+    commands, group, own = Commands(name), MutuallyExclusiveCallbackGroup(), prefix(name).removeprefix("/")
     node.create_service(
         Trigger,
-        f"{prefix(name)}/tare",
+        f"{own}/tare",
         lambda _, told: answered(told, commands.tare),
         callback_group=group,
     )
     node.create_service(
         SetMode,
-        f"{prefix(name)}/set_mode",
+        f"{own}/set_mode",
         lambda asked, told: answered(told, commands.set_mode, asked.mode),
         callback_group=group,
     )
@@ -52,7 +52,7 @@ def main():
     rclpy.init()
     node = Node("ohmskin_commands")
     try:
-        names = node.declare_parameter("skins", ["skin"]).value  # BODY.PATCH for patches of a body
+        names = set(node.declare_parameter("skins", ["skin"]).value or ())  # BODY.PATCH for patches of a body
         if not names:
             raise PublishError("it is empty")
         for name in names:
