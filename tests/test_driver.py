@@ -732,6 +732,9 @@ def test_rubbish_does_not_take_the_server_down(server: DeviceServer) -> None:
         ("serial:///dev/ttyS0?baud=fast", "baud is 'fast'"),
         ("serial:///dev/ttyS0?baud=99999999999", "baud is '99999999999'; need a number of 1 to 100000000"),
         ("serial:///dev/ttyS0?baud=" + 5000 * "9", "need a number"),
+        ("tcp://127.0.0.1:1/live", "has 'live' beside host and port"),
+        ("tcp://me@127.0.0.1:1", "has 'me' beside host and port"),
+        ("tcp://127.0.0.1:1#two", "has 'two' beside host and port"),
         ("tcp://[::1", "Invalid IPv6 URL; need such as tcp"),
         ("tcp://a..b:7155", "cannot reach a..b:7155"),
         ("serial://", "names no port"),
@@ -741,6 +744,12 @@ def test_rubbish_does_not_take_the_server_down(server: DeviceServer) -> None:
 def test_bad_addresses_are_told(url: str, match: str) -> None:
     with pytest.raises(DeviceError, match=match):
         open_transport(url)
+
+
+@pytest.mark.parametrize("url", ["replay:", "replay:?speed=2"])
+def test_an_address_of_a_recording_without_a_file_is_told(url: str) -> None:
+    with pytest.raises(DeviceError, match="names no file; need replay:FILE"):
+        connect(url)
 
 
 def test_missing_ports_are_told(tmp_path: Path) -> None:

@@ -50,11 +50,13 @@ class ReplayDevice(Device):
     Raises:
         DataError: If the file is not a recording.
         PatternError: If `rate` or `speed` is not positive.
-        DeviceError: If the address has a setting that is none.
+        DeviceError: If the address names no file, or has a setting that is none.
     """
 
     def __init__(self, url: str, rate: float = 30.0, speed: float = 1.0, start: float = 0.0, loop: bool = True) -> None:
         path, (rate, speed, start, told) = _address(url, rate=rate, speed=speed, start=start, loop=loop)
+        if not path:
+            raise DeviceError(f"{url} names no file; need replay:FILE such as replay:touch.mcap")
         if not 0 < rate <= 1e5:
             raise PatternError(f"replay rate is {rate} frames/s; it must be above 0 and at most 100000")
         self.path, self.recording = Path(path), read_recording(path)

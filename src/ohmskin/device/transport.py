@@ -62,6 +62,8 @@ def open_transport(url: str) -> Transport:
             raise DeviceError(f"{url!r}: {error}; need tcp://host:port such as tcp://127.0.0.1:7155") from error
         if not host or not port:
             raise DeviceError(f"{url!r} lacks a host or a port; need tcp://host:port such as tcp://127.0.0.1:7155")
+        if more := parts.path.strip("/") or parts.username or parts.fragment:
+            raise DeviceError(f"{url!r} has {more!r} beside host and port; leave it out, as in tcp://127.0.0.1:7155")
         return SocketTransport.connect(host, port)
     baud = options.get("baud", str(_BAUD))
     if not (baud.isascii() and baud.isdigit() and len(baud) < 10 and 0 < int(baud) <= _MOST_BAUD):
