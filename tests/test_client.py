@@ -384,6 +384,13 @@ def test_an_address_that_is_none_is_refused(address: str) -> None:
         Client(address)
 
 
+@pytest.mark.parametrize("where", ["tcp/host", "host:7447", "udp/host:7447", "tcp/host:99999", "tcp/host:0", "tcp/:7"])
+def test_a_place_where_nobody_can_be_found_over_zenoh_is_refused(where: str) -> None:
+    """Nothing would ever come."""
+    with pytest.raises(PublishError, match=f"zenoh cannot join '{where}'; use zenoh:NAME@tcp/HOST:PORT"):
+        Client(f"zenoh:skin@{where}").close()
+
+
 def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
     monkeypatch.delitem(sys.modules, "ohmskin.client.remote", raising=False)

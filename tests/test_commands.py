@@ -60,6 +60,8 @@ def test_what_is_asked_is_done_once_and_refused_in_words() -> None:
 
 def test_a_skin_that_is_not_there_is_told_and_obeys_nothing_later() -> None:
     done: list[str] = []
+    with pytest.raises(PublishError, match="'an arm' cannot name"):
+        Commands("an arm")
     with Commands("arm", timeout=0.05) as commands, pytest.raises(PublishError, match="did not answer"):
         commands.set_mode("16T")
     with CommandServer("arm", {"set_mode": done.append}) as server, Board("arm.asked", {}, 512) as board:

@@ -26,7 +26,8 @@ class Commands(Closing):
     """
 
     def __init__(self, name: str = "skin", timeout: float = 30.0) -> None:
-        check_name(f"{name}.asked")
+        check_name(name)
+        check_name(f"{name}.asked")  # nor may it be too long for that
         self._name, self._timeout = name, timeout
         self._answers = BoardReader(f"{name}.answered")
 

@@ -6,6 +6,7 @@ Topics over zenoh are laid out as rmw_zenoh does: data go to ``<domain>/<topic>/
 import ipaddress
 import json
 import os
+import re
 import tempfile
 import threading
 import time
@@ -21,6 +22,7 @@ from ohmskin.errors import DataError, PublishError
 CONTACTS_TYPE = "ohmskin_msgs::msg::dds_::Contacts_"
 CONTACTS_HASH = "RIHS01_e6a2af3b67db8358f71d10d5699f89e39ac255fc4d0eff899ebadfb6f9165a46"
 _USER = "ohmskin"
+_PLACE = re.compile(r"tcp/(?:\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
 _LARGEST_DOMAIN = 232  # beyond which DDS has no ports
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
 
@@ -34,6 +36,8 @@ class Subscriber:
 
     def __init__(self, name: str, where: str, token: str | None) -> None:
         check_name(name)
+        if not is_place(where):
+            raise PublishError(f"zenoh cannot join {where!r}; use zenoh:NAME@tcp/HOST:PORT, with a port of 1 to 65535")
         self._fresh: Contacts | None = None
         self._here = threading.Condition()
         self._session = open_session(where, False, token)
@@ -86,6 +90,12 @@ def domain() -> int:
 def data_key(topic: str, dds_type: str, hash_: str) -> str:
     """The zenoh key of a topic's messages."""
     return f"{domain()}/{topic.strip('/')}/{dds_type}/{hash_}"
+
+
+def is_place(where: str) -> bool:
+    """Whether something can be found or offered over zenoh there: ``tcp/HOST:PORT``."""
+    found = _PLACE.fullmatch(where)
+    return found is not None and 0 < int(found[1]) < 65536
 
 
 def is_loopback(host: str) -> bool:

@@ -15,12 +15,11 @@ from typing import Any
 
 import zenoh
 
-from ohmskin.client.remote import data_key, domain, is_loopback, open_session
+from ohmskin.client.remote import data_key, domain, is_loopback, is_place, open_session
 from ohmskin.errors import PublishError
 from ohmskin.outlets.topics import Topic, dds_name
 
 PORT = 7447
-_PLACE = re.compile(r"(listen/)?(tcp)/(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
 _ATTACHMENT = struct.Struct("<qqB16s")  # number from 1, ns since 1970, length and bytes of the sender's id
 _GID_BYTES = 16
 _RELIABLE, _BEST_EFFORT = "", "2"  # of rmw_qos_reliability_policy_t; what is the default is left out
@@ -113,8 +112,8 @@ def meeting_place(place: str) -> tuple[bool, str]:
             probe.settimeout(1.0)
             taken = probe.connect_ex(("127.0.0.1", PORT)) == 0
         return not taken, f"tcp/127.0.0.1:{PORT}"
-    found = _PLACE.fullmatch(place)
-    if not found or not 0 < int(found[4]) < 65536:
+    where = place.removeprefix("listen/")
+    if not is_place(where):
         places = "zenoh, zenoh:tcp/HOST:PORT or zenoh:listen/tcp/HOST:PORT"
         raise PublishError(f"zenoh:{place} is not a place; use {places}")
-    return bool(found[1]), place.removeprefix("listen/")
+    return where != place, where
