@@ -379,6 +379,8 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
             assert sensed.stdout is not None
             try:
                 frames = [json.loads(sensed.stdout.readline())]
+                while frames[-1]["state"] == "calibrating":
+                    frames.append(json.loads(sensed.stdout.readline()))
                 rest: list[str] = []  # read while it runs: a full pipe would stop the loop before the press ends
                 reader = threading.Thread(target=rest.extend, args=(sensed.stdout,))
                 reader.start()
@@ -391,6 +393,9 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
             frames += [json.loads(line) for line in rest]
         assert sensed.returncode == 0
     assert (pressed.returncode, re.sub("^[.]+\n", "", pressed.stderr)) == (0, "")
+    assert (frames[0]["state"], frames[0]["sequence"]) == ("calibrating", None)
+    assert "calibrating: keep the skin untouched" in frames[0]["messages"][-1]
+    frames = [frame for frame in frames if frame["state"] == "running"]
     assert frames[0]["mode"] == "16P"
     assert frames[0]["contacts"] == []
     places = [contact["position"] for frame in frames for contact in frame["contacts"]]

@@ -2,14 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from direct import DirectDevice
 
+from ohmskin.cli.loop import CalibrationReport
 from ohmskin.drive import base_pattern
 from ohmskin.engine import Engine
-from ohmskin.engine.quiet import QuietFrames
+from ohmskin.engine.quiet import MEASURED, QuietFrames
 from ohmskin.errors import DataError
 from ohmskin.scan import Baseline, DrivePattern, Frame
 from ohmskin.skin import Fault, Skin, VirtualSkin
@@ -47,6 +49,23 @@ def test_a_quiet_skin_is_measured_once() -> None:
     device = SpoiltDevice()
     quiet, frames = quiet_of(device)
     assert (len(frames), device.count, quiet.notes) == (40, 40, [])
+
+
+def test_how_far_the_calibration_of_a_slow_device_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After some seconds, in a share and in seconds at this pace; from the start again where something moved."""
+    now, told = 0.0, list[tuple[str, float, float]]()
+    monkeypatch.setattr("ohmskin.cli.loop.time", SimpleNamespace(monotonic=lambda: now))
+    report = CalibrationReport(lambda *words: told.append(words))
+    for turn in range(2):
+        for number in range(40):
+            now = 200.0 * turn + 4.0 * number
+            report(MEASURED * number / 40)
+    report(MEASURED)
+    report(1.0)
+    assert len(told) == 2 * 19
+    assert told[0][0] == told[19][0] == "calibrating: 5% measured, about 152 s left"
+    assert told[0][1:] == pytest.approx((0.05, 152.0))
+    assert told[18][1:] == pytest.approx((0.95, 8.0))
 
 
 def test_frames_with_spikes_are_measured_again_and_leave_the_noise_as_it_is() -> None:

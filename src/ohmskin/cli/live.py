@@ -6,11 +6,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ohmskin.cli.arrivals import Arrivals
-from ohmskin.cli.loop import calibrating, open_loop, refuse_existing
+from ohmskin.cli.loop import CalibrationReport, calibrating, open_loop, refuse_existing
 from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
@@ -38,6 +39,7 @@ from ohmskin.view.live import LiveView
 from ohmskin.view.session import PageSession
 
 _ROWS_PER_SECOND = 5
+_NO_FRAME: dict[str, Any] = {"sequence": None, "contacts": []}
 
 
 def live(
@@ -60,9 +62,11 @@ def live(
 
     Args:
         headless: No page: contacts as a table on the terminal.
-        json: No page: a line of JSON for every frame, with state and messages; while the device is lost, for messages.
+        json: No page: a line of JSON for every frame, with state and messages; while it calibrates, or the device is
+            lost, for messages.
         record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
-        publish: Publish contacts to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        publish: Publish contacts to shm, zenoh[:PLACE], dds[:INTERFACE] foxglove[:HOST:PORT] or
+            mcap:FILE; may be repeated.
         name: Name of this skin for clients; its topics begin with it.
         frame: Frame of the published contacts: a link of the robot.
     """
@@ -92,7 +96,8 @@ def live(
             )
         )
         engine = lines.engine = loop.engine
-        commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
+        report = CalibrationReport(lines.calibrating if json else lambda sentence, *_: say(sentence))
+        commands = dict[str, Callable[..., None]](tare=partial(engine.calibrate, report), set_mode=engine.set_mode)
         if publish:
             publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
@@ -102,7 +107,7 @@ def live(
             notify(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
             notify(f"{engine.mode.label}; {calibrating(device)}")
-            engine.calibrate()
+            engine.calibrate(report)
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
@@ -164,10 +169,15 @@ class _Lines:
         self._said: deque[str] = deque(maxlen=100)
 
     def notify(self, sentence: str) -> None:
-        """Say a sentence in the next line; at once if the device is lost."""
+        """Say a sentence in the next line; at once if the device is lost or the loop calibrates."""
         self._said.append(sentence)
-        if self.engine is not None and self.engine.state is State.LOST:
-            self._print({"sequence": None, "contacts": []})
+        if self.engine is not None and self.engine.state is not State.RUNNING:
+            self._print(_NO_FRAME)
+
+    def calibrating(self, sentence: str, share: float, left: float) -> None:
+        """Say at once which share of the quiet skin is measured (0 to 1), and how long the rest takes (s)."""
+        self._said.append(sentence)
+        self._print({**_NO_FRAME, "calibrated": share, "left": left})
 
     def __call__(self, touch: Touch) -> None:
         contacts = [as_json(contact) for contact in touch.contacts]

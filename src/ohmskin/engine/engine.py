@@ -13,7 +13,7 @@ from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.compiling import Compilation, compiling
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices, lost
-from ohmskin.engine.quiet import QuietFrames, check_usable
+from ohmskin.engine.quiet import MEASURED, QuietFrames, check_usable
 from ohmskin.engine.sensors import Sensors
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
@@ -109,12 +109,12 @@ class Engine(Closing):
 
         def compiles(sentence: str) -> None:
             self._notices.message = sentence
-            progress(0.7)
+            progress(MEASURED)
 
         try:
             quiet, notes, quality = list(self.device.reference), list[str](), None
             if not quiet:
-                quiet, notes = self._quiet_frames(lambda share: progress(0.7 * share))
+                quiet, notes = self._quiet_frames(lambda share: progress(MEASURED * share))
                 quality = assess(quiet)
                 check_usable(quality)
             with compiling(compiles, threaded=False):

@@ -12,6 +12,9 @@ from ohmskin.scan import DrivePattern, Frame, Quality, assess
 from ohmskin.scan.quality import in_words
 from ohmskin.scan.repeats import finite
 
+MEASURED = 0.7
+"""Share of a calibration's progress at which the quiet skin is measured."""
+
 _REPEATS = 40  # of each pattern, for the baseline
 _JUDGED = 2048  # voltages of a piece: whether these agree takes the cube of what they tell of
 _OUTLIER = 8.0  # robust standard deviations beyond which a value is a disturbance
