@@ -10,10 +10,12 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import command_line
@@ -30,10 +32,12 @@ from waiting import until
 
 import ohmskin
 from ohmskin.body.body import axes
-from ohmskin.client import Patch, PatchState
+from ohmskin.cli.loop import Loop
+from ohmskin.client import BoardReader, Patch, PatchState
 from ohmskin.client.contacts import merged
 from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts, domain
 from ohmskin.contacts import Contact as SheetContact
+from ohmskin.engine import State
 from ohmskin.errors import DataError, OhmskinError, PublishError
 from ohmskin.mcap.schemas import FIELD
 from ohmskin.mcap.standard import encode_image, encode_markers
@@ -379,6 +383,22 @@ def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplo
         stay_on("nosuch0")  # refused by the system, as without the right to do so
         assert len(os.listdir("/proc/self/fd")) == before
     assert "cannot bind DDS to nosuch0" in caplog.text
+
+
+def test_diagnostics_tell_once_a_second_that_the_device_is_lost(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+    engine: Any = SimpleNamespace(state=State.LOST, message="device lost: unplugged", step=lambda: None)
+    going: Any = type("Going", (list,), {"listen": lambda _: None})()  # false: not stopped
+    with Publisher(Skin.load("paper")) as publisher, BoardReader("skin.health") as health:
+        Loop(engine, None, [], print, [publisher.lost]).run(going, 0.05)
+        message = health.newest()
+        (status,) = store.deserialize_cdr(message, PUBLISHED["/diagnostics"]).status
+        publisher.lost("still")
+        time.sleep(0.06)  # after which a reader looks again
+        assert health.newest() is None
+    assert (status.level, status.name, status.message) == (2, "ohmskin: skin", "device lost: unplugged")
 
 
 # --- the loop does not wait -------------------------------------------------------------------------------------------

@@ -51,6 +51,7 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
                         _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)
             except DeviceError as error:
                 answer(state="lost", message=str(error))
+                publisher.lost(str(error))
                 stop.wait(_RETRY_AFTER)
 
 
@@ -82,6 +83,8 @@ def _run(
         if touch is not None:
             publisher.publish(touch)
             server.poll()
+        elif engine.state is State.LOST:
+            publisher.lost(engine.message)
         if (now := time.monotonic()) >= due:
             due = now + _REPORT_EVERY
             address.write(getattr(engine.device, "address", "").encode())  # where a page presses a virtual skin

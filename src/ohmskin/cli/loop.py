@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TextIO
 
@@ -13,7 +13,7 @@ from ohmskin.cli.options import AS_THE_MODE, Demo, DeviceUrl, Imaging, ModeName,
 from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
-from ohmskin.engine import Engine, Touch
+from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.compiling import Compilation, compile_ahead, prepare
 from ohmskin.engine.quiet import MEASURED
 from ohmskin.errors import OhmskinError
@@ -76,12 +76,14 @@ class CalibrationReport:
 
 @dataclass(frozen=True)
 class Loop:
-    """An engine, who leads it if the device is a recording, who takes what it feels, and who hears messages."""
+    """An engine, who leads it if the device is a recording, who takes what it feels, who hears messages, and who is
+    called with the reason while the device is lost."""
 
     engine: Engine
     player: Player | None
     sinks: list[Callable[[Touch], None]]
     notify: Callable[[str], None]
+    lost: list[Callable[[str], None]] = field(default_factory=list)
 
     def run(
         self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None, demo: bool = False
@@ -106,6 +108,9 @@ class Loop:
             if touch := step():
                 for sink in self.sinks:
                     sink(touch)
+            elif self.engine.state is State.LOST:
+                for tell in self.lost:
+                    tell(self.engine.message)
 
     def _pressed(self) -> Callable[[], Touch | None]:
         """Cycles while a demonstration finger wanders over the skin."""

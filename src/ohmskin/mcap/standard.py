@@ -62,10 +62,13 @@ def encode_markers(contacts: Sequence[PlacedContact], patches: Sequence[Patch], 
     return encoder.done()
 
 
-def encode_health(values: Mapping[str, float], message: str, device: str, stamp: int, name: str = "ohmskin") -> bytes:
-    """`diagnostic_msgs/msg/DiagnosticArray` with one status of that name; a message makes it a warning."""
+def encode_health(
+    values: Mapping[str, float], message: str, device: str, stamp: int, name: str = "ohmskin", error: bool = False
+) -> bytes:
+    """`diagnostic_msgs/msg/DiagnosticArray` with one status of that name; a message makes it a warning or an error."""
     encoder = CdrEncoder().stamp(stamp).text(FRAME_ID).put("I", 1)
-    encoder.put("B", 1 if message else 0).text(name).text(message or "running").text(device).put("I", len(values))
+    encoder.put("B", 2 if error else 1 if message else 0).text(name).text(message or "running").text(device)
+    encoder.put("I", len(values))
     for name, value in values.items():
         encoder.text(name).text(f"{value:.6g}")
     return encoder.done()

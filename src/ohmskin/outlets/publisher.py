@@ -86,6 +86,18 @@ class Publisher(Closing):
             self._health.write(encode_health(*told))
         self._relay.wake()
 
+    def lost(self, why: str) -> None:
+        """Tell once a second, as an error in the diagnostics, that there is nothing to publish; call it meanwhile.
+
+        Args:
+            why: What happened, such as that the device is lost.
+        """
+        if (now := time.monotonic()) >= self._health_due:
+            self._health_due = now + _HEALTH_EVERY
+            told = why[:_LONGEST_MESSAGE], self._about, time.time_ns(), f"ohmskin: {self._name}"
+            self._health.write(encode_health({}, *told, error=True))
+            self._relay.wake()
+
     def repeat(self, seen: PatchState, contacts: Sequence[PlacedContact]) -> None:
         """Publish contacts of before, `seen` then."""
         self._board.write(pack(merged(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
