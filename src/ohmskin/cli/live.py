@@ -5,7 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from ohmskin.cli.options import (
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
 from ohmskin.engine import Engine, State, Touch
+from ohmskin.errors import DeviceLost
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.view.live import LiveView
@@ -65,7 +66,7 @@ def live(
         json: No page: a line of JSON for every frame, with state and messages; while it calibrates, or the device is
             lost, for messages.
         record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
-        publish: Publish contacts to shm, zenoh[:PLACE], dds[:INTERFACE] foxglove[:HOST:PORT] or
+        publish: Publish contacts to shm, zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT] or
             mcap:FILE; may be repeated.
         name: Name of this skin for clients; its topics begin with it.
         frame: Frame of the published contacts: a link of the robot.
@@ -108,7 +109,8 @@ def live(
             notify(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
             notify(f"{engine.mode.label}; {calibrating(device)}")
-            engine.calibrate(report)
+            with suppress(DeviceLost):  # the loop reconnects
+                engine.calibrate(report)
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
@@ -116,7 +118,8 @@ def live(
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; {calibrating(device)}")
-            session.calibrate()
+            with suppress(DeviceLost):
+                session.calibrate()
             commands["tare"] = session.calibrate
             loop.sinks.append(_Arrivals())
             loop.run(stop, seconds, session.step)

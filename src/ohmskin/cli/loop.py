@@ -4,7 +4,7 @@ import gc
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TextIO
@@ -16,7 +16,7 @@ from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.compiling import Compilation, compile_ahead, prepare
 from ohmskin.engine.quiet import MEASURED
-from ohmskin.errors import OhmskinError
+from ohmskin.errors import DeviceLost, OhmskinError
 from ohmskin.mcap import Progress
 from ohmskin.recording.player import Player
 from ohmskin.recording.recorder import Recorder
@@ -249,6 +249,7 @@ def record(
     stop = Stop()
     with open_loop(device, skin, mode, imaging, say, file, images) as loop:
         say(f"{loop.engine.mode.label}; {calibrating(device)}")
-        loop.engine.calibrate(CalibrationReport(lambda sentence, *_: say(sentence)))
+        with suppress(DeviceLost):  # the loop reconnects
+            loop.engine.calibrate(CalibrationReport(lambda sentence, *_: say(sentence)))
         say(f"recording to {file}   (Ctrl-C ends)")
         loop.run(stop, seconds, demo=demo)

@@ -33,7 +33,7 @@ def patches(
 
     Args:
         body: The body file (TOML): the patches and their poses on the robot.
-        publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT] or mcap:FILE; may be repeated.
         joints: Receive joint positions from ROS 2: zenoh[:PLACE] or dds[:INTERFACE].
         joint_topic: The topic of these joint states (sensor_msgs/msg/JointState).
         record: Record contacts, images, joint states and links' poses to this MCAP file.
