@@ -21,13 +21,13 @@ def boards(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyP
 
 
 @contextmanager
-def looking(server: CommandServer) -> Iterator[None]:
+def looking(server: CommandServer, lost: str = "") -> Iterator[None]:
     """A loop that looks once a millisecond."""
     over = threading.Event()
 
     def look() -> None:
         while not over.wait(0.001):
-            server.poll()
+            server.poll(lost)
 
     thread = threading.Thread(target=look)
     thread.start()
@@ -56,6 +56,18 @@ def test_what_is_asked_is_done_once_and_refused_in_words() -> None:
         with pytest.raises(PublishError, match="not quiet"):
             commands.tare()
     assert modes == ["16T", "16P", "12B"]
+
+
+def test_while_a_device_is_lost_commands_are_refused_at_once_with_the_reason() -> None:
+    done: list[str] = []
+    with (
+        CommandServer("arm", {"set_mode": done.append}) as server,
+        Commands("arm") as commands,
+        looking(server, "device lost: cable"),
+        pytest.raises(PublishError, match="device lost: cable"),
+    ):
+        commands.set_mode("16T")
+    assert not done
 
 
 def test_a_skin_that_is_not_there_is_told_and_obeys_nothing_later() -> None:

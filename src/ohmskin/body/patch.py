@@ -85,6 +85,7 @@ def _run(
             server.poll()
         elif engine.state is State.LOST:
             publisher.lost(engine.message)
+            server.poll(engine.message)
         if (now := time.monotonic()) >= due:
             due = now + _REPORT_EVERY
             address.write(getattr(engine.device, "address", "").encode())  # where a page presses a virtual skin

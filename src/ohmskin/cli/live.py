@@ -103,9 +103,9 @@ def live(
             publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
             loop.sinks.insert(0, publisher.publish)  # first, because robots wait for it
-            loop.lost.append(publisher.lost)
             server = stack.enter_context(CommandServer(name, commands))
             loop.sinks.append(lambda touch: server.poll())
+            loop.lost.extend([publisher.lost, server.poll])
             notify(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
             notify(f"{engine.mode.label}; {calibrating(device)}")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.commands import LARGEST_COMMAND
 from ohmskin.closing import Closing
-from ohmskin.errors import OhmskinError
+from ohmskin.errors import DeviceLost, OhmskinError
 
 _LONGEST = 1000  # characters of an answer
 
@@ -27,8 +27,12 @@ class CommandServer(Closing):
         self._asked, self._commands = BoardReader(f"{name}.asked"), commands
         self._answers = Board(f"{name}.answered", {}, 2 * LARGEST_COMMAND)
 
-    def poll(self) -> None:
-        """Do what was asked since the last look; without that it takes a microsecond, and now and then some ten."""
+    def poll(self, lost: str = "") -> None:
+        """Do what was asked since the last look; without that it takes a microsecond, and now and then some ten.
+
+        Args:
+            lost: Why nothing can be done now, such as that the device is lost: this is answered.
+        """
         if (record := self._asked.newest()) is None:
             return
         failed = ""
@@ -36,6 +40,8 @@ class CommandServer(Closing):
             asked = json.loads(record)
             if time.monotonic() > asked["until"]:
                 return  # whoever asked has gone
+            if lost:
+                raise DeviceLost(lost)
             name, *arguments = asked["command"]
             self._commands[name](*map(str, arguments))
         except OhmskinError as error:
