@@ -24,6 +24,7 @@ from waiting import until
 from ohmskin.client import Board, BoardReader, Client, Contacts, Patch, PatchState, PlacedContact
 from ohmskin.client.board import board_path
 from ohmskin.client.contacts import LARGEST, MOST_CONTACTS, merged, pack, patches_from, unpack
+from ohmskin.client.remote import open_session
 from ohmskin.errors import PublishError
 from ohmskin.outlets.messages import encode_contacts
 from ohmskin.outlets.topics import contacts_topic
@@ -389,6 +390,12 @@ def test_a_place_where_nobody_can_be_found_over_zenoh_is_refused(where: str) -> 
     """Nothing would ever come."""
     with pytest.raises(PublishError, match=f"zenoh cannot join '{where}'; use zenoh:NAME@tcp/HOST:PORT"):
         Client(f"zenoh:skin@{where}").close()
+
+
+def test_a_place_that_is_taken_is_told_without_the_lines_of_zenohs_code() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(PublishError, match="in use") as told:
+        open_session(f"tcp/127.0.0.1:{taken.getsockname()[1]}", True, None)
+    assert ".rs" not in str(told.value)
 
 
 def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

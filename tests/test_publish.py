@@ -495,6 +495,7 @@ def test_the_publishing_process_ends_with_the_loop() -> None:
         ("dds:<x>", "names no network interface"),
         ("foxglove:127.0.0.1:99999", "not a place"),
         ("foxglove:192.0.2.1:0", "cannot be served"),
+        ("mcap:/nosuch/x.mcap", "No such file or directory; choose another file"),
     ],
 )
 def test_an_outlet_that_cannot_be_opened_says_why(outlet: str, says: str) -> None:

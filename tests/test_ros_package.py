@@ -99,6 +99,12 @@ def test_options_that_are_off_or_empty_are_given_as_such(
     assert negative == {"--no-browser", "--no-demo"}  # those that the launch file knows
 
 
+def test_a_file_of_options_that_has_none_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text("name\n")
+    with pytest.raises(ValueError, match=r"own\.yaml has no options; need lines such as"):
+        launched(monkeypatch, params=str(tmp_path / "own.yaml"))
+
+
 class Ros:
     """Stand-ins for the few classes of ROS 2 that the node of services uses.
 

@@ -26,6 +26,8 @@ def actions(context):
     """What to start, by the arguments as given."""
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     options = yaml.safe_load(Path(given["params"]).read_text(encoding="utf-8")) or {}
+    if not isinstance(options, dict):
+        raise ValueError(f"{given['params']} has no options; need lines such as `name: left_arm`")
     options = {name: value for name, value in options.items() if value is not None}
     command = [given["ohmskin"], "live"]
     for name, value in options.items():

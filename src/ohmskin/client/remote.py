@@ -146,7 +146,8 @@ def open_session(where: str, listen: bool, token: str | None, gossip: bool = Tru
                 config.insert_json5(name, json.dumps(value))
             return zenoh.open(config)
         except zenoh.ZError as error:
-            raise PublishError(f"zenoh cannot {'listen at' if listen else 'join'} {where}: {error}") from error
+            why = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error))  # where in zenoh's code
+            raise PublishError(f"zenoh cannot {'listen at' if listen else 'join'} {where}: {why}") from error
 
 
 def decode_contacts(data: bytes, offset: float) -> Contacts:

@@ -32,7 +32,7 @@ class FileOutlet:
         try:
             self._disk = Disk(place)
         except OSError as error:
-            raise PublishError(f"cannot record to {place}: {error.strerror or error}") from error
+            raise PublishError(f"cannot record to {place}: {error.strerror or error}; choose another file") from error
         self._writer = open_writer(self._disk, _CHUNK)
         self._writer.start("ros2", library=node)
         self._channels, self._count, self._lost = {}, 0, 0
