@@ -540,8 +540,9 @@ def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing
     skin = VirtualSkin(Skin.load("paper"), seed=0)
     skin.press(1, 0.1, 0.1, 8e-3, 2e4)
     before, resistance = skin.presses, skin.transfer_resistance
-    with pytest.raises(SkinError, match=r"20\d+ contacts of patches take about \d+ s to model; allowed are 5000"):
+    with pytest.raises(SkinError, match=r"20\d+ contacts .* take about \d+ s to model; allowed are 5000") as told:
         skin.press(2, 0.1, 0.1, 1.0, 2e4)
+    assert len(str(told.value)) <= 120  # as long as the protocol's refusals may be
     assert skin.presses == before
     assert skin.transfer_resistance is resistance
     skin.press(1, 0.1, 0.1, 8e-3, 0.0)

@@ -182,7 +182,7 @@ class VirtualSkin:
     def _pressed_resistance(self, presses: Mapping[int, Press], foam: Mapping[int, Foam]) -> Floats:
         if presses and (contacts := self.sheet.contacts_under(presses.values())) > _MOST_CONTACTS:
             slow = f"presses on {contacts} contacts of patches take about {1.4e-11 * contacts**3:.0f} s to model"
-            raise SkinError(f"{slow}; allowed are {_MOST_CONTACTS}, some two palms: lift one, or make it smaller")
+            raise SkinError(f"{slow}; allowed are {_MOST_CONTACTS}: make them smaller, or lift one")
         acting = (
             replace(press, pressure=min(foam[number].acting, MOST_PRESSURE)) if number in foam else press
             for number, press in presses.items()
