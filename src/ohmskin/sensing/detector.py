@@ -30,6 +30,7 @@ _NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, 
 _UNLIKE = 0.4  # share of the signal that no contacts explain, above which it is reported; real skins have up to a third
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
 _NOISY = 1.3  # times the quiet skin's noise, above which it is reported
+_JUMPED = 4.0  # times the power of changes that no fault of wires explained, from which on one is looked for again
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND, _SURELY = 5, 0.2, 50  # frames and s for which an electrode must agree to be used again; enough
 _UNLUCKY = 0.999  # probability that a misfit is larger
@@ -78,7 +79,9 @@ class FaultDetector:
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
         """
-        wires = self._wires.found(scans, before.wires)
+        power = self._wires.power(scans)
+        tried = power and (before.bad or power > _JUMPED * before.without_fault)
+        wires = self._wires.found(scans, before.wires) if tried else None
         scans = scans if wires is None else [wires.repaired(scan, self._known.pairs) for scan in scans]
         now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
@@ -131,6 +134,7 @@ class FaultDetector:
             unresolved=unresolved,
             contradiction=contradiction,
             wires=wires.cause if wires else None,
+            without_fault=power if tried else min(power, before.without_fault),
             unlike=unlike,
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,

@@ -71,6 +71,7 @@ class Diagnosis:
         unresolved: Frames since the first contradiction whose cause is not found.
         contradiction: What of the newest frames contradicts, if its cause is not found.
         wires: Wires of the newest frame that are exchanged, or touch each other.
+        without_fault: Mean square of changes that no fault of wires explained (V2).
         unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since the last frame with any valid value (s).
@@ -89,6 +90,7 @@ class Diagnosis:
     unresolved: int = 0
     contradiction: Contradiction = field(default=Contradiction(), repr=False)
     wires: Cause | None = None
+    without_fault: float = 0.0
     unlike: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0

@@ -91,17 +91,21 @@ class WireFaults:
         own = self.resistances[:, None]
         return np.asarray(np.where(own > 0, -(volts**2) / np.where(own > 0, own, 1.0), 0.0))
 
+    def power(self, scans: Sequence[Difference]) -> float:
+        """Mean square (V2) of the changes of scans; 0 if no fault of wires could be found in them."""
+        volts = [scan.volts[np.isfinite(scan.volts)] for scan in scans if self._tried]
+        count = sum(map(len, volts))
+        power = sum(float(own @ own) for own in volts) / max(count, 1)
+        return power if power > _SURE * self._errors.noise**2 else 0.0
+
     def found(self, scans: Sequence[Difference], before: Cause | None = None) -> WireFault | None:
         """The fault that explains scans; None if none does.
 
         Args:
-            scans: What has changed.
+            scans: What has changed, with `power`.
             before: The fault found in the last frame: beside it, something may touch the skin.
         """
-        known = [scan for scan in scans if scan.known and self._tried]
-        power = sum(float(np.nansum(scan.volts**2)) for scan in known)
-        if power <= _SURE * self._errors.noise**2 * sum(len(scan.volts) for scan in known):
-            return None
+        known = [scan for scan in scans if scan.known]
         data, faults = Information.of(self._pairs, self._errors, known)[0], list[tuple[float, WireFault]]()
         for kind, changes in (("exchanged", self.exchanges), ("shorted", self.shorts)):
             shown, powers = changes @ data.misfit.vector[:-1], data.misfit.norms(changes.T) ** 2
