@@ -59,6 +59,12 @@ class Sheet:
         self._contact[electrode] /= factor
         self.touch(self.touches)
 
+    def exchange(self, one: int, other: int) -> None:
+        """Let the wires of two electrodes be exchanged."""
+        self._under[one], self._under[other] = self._under[other], self._under[one]
+        self._contact[[one, other]] = self._contact[[other, one]]
+        self.touch(self.touches)
+
     def touch(self, touches: dict[int, tuple[float, float, float]]) -> None:
         """Touch at x, y (m) with a pressure (Pa) over 6 mm; each in place of those before."""
         self.touches = touches

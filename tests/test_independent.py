@@ -164,6 +164,19 @@ def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     assert np.mean(broken) < 1.5 * np.mean(sound)
 
 
+def test_exchanged_wires_are_named_in_the_first_frame_and_the_rest_goes_on(loop: Loop) -> None:
+    device, engine = loop
+    place = (0.07, 0.11)
+    for pair in ((10, 12), (2, 4), (11, 15)):
+        device.sheet.exchange(*pair)
+        touches = felt(engine, 20)
+        assert all(pair in [one.cause.electrodes for one in touch.percept.findings] for touch in touches)
+        assert not any(touch.contacts for touch in touches)
+        assert errors(pressed(loop, place), place)[0] < 5e-3
+        device.sheet.exchange(*pair)
+        assert not felt(engine, 200)[-1].percept.findings
+
+
 @pytest.mark.parametrize("mode", ["16P", "16T"])
 @pytest.mark.parametrize("factor", [4.0, 20.0])
 def test_a_contact_that_degrades_is_no_touch(seed: int, factor: float, mode: str) -> None:
