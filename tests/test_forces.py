@@ -336,7 +336,7 @@ def test_the_same_force_is_told_everywhere(
     wrench.text()
     assert wrench.take("dddddd")[2] == pytest.approx(-told[0])
     capsys.readouterr()
-    lines = _Lines()
+    lines = _Lines(calibrates=True)
     lines.engine = engine
     lines(touch)
     (printed,) = json.loads(capsys.readouterr().out)["contacts"]

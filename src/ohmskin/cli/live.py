@@ -80,7 +80,7 @@ def live(
         refuse_unused("without --publish", name=name != "skin", frame=frame != "skin")
     check_source(device, skin, mode)
     stop = Stop()
-    lines = _Lines()
+    lines = _Lines(calibrates=not device.startswith("replay:"))
     notify = lines.notify if json else say
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
@@ -164,18 +164,22 @@ class _Table:
 class _Lines:
     """A line of JSON for every frame, with what was said since the last one; while there is none, one for what is said.
 
+    Args:
+        calibrates: Whether a calibration is measured, which takes a while.
+
     Attributes:
         engine: The loop, once there is one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, calibrates: bool) -> None:
+        self._without_frames = {State.LOST} if not calibrates else {*State} - {State.RUNNING}
         self.engine: Engine | None = None
         self._said: deque[str] = deque(maxlen=100)
 
     def notify(self, sentence: str) -> None:
         """Say a sentence in the next line; at once if the device is lost or the loop calibrates."""
         self._said.append(sentence)
-        if self.engine is not None and self.engine.state is not State.RUNNING:
+        if self.engine is not None and self.engine.state in self._without_frames:
             self._print(_NO_FRAME)
 
     def calibrating(self, sentence: str, share: float, left: float) -> None:

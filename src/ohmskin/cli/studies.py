@@ -65,7 +65,7 @@ def policies(
     goals.
 
     Args:
-        quick: Few seeds and trials: ten minutes or more on two cores; with `--only time`, for one section, a minute.
+        quick: Few seeds and trials: ten minutes or more on two cores, the section `time` alone a minute.
         output: Folder for report.html, the same as report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
         only: Sections to make: static, driven, time, gain, moving, pairs, press, sensitivity, detection, quiet,
