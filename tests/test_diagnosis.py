@@ -500,7 +500,7 @@ def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame_an
     engine.press(0, AT, RADIUS, 0.0)
     run(engine, 12)
     device = device_of(engine)
-    device.virtual.rewire(Fault("swap", swapped), Fault("swap", (4, 13)))
+    device.virtual.rewire(Fault("swap", swapped))
     assert np.median(seconds(80)[20:]) < most * np.median(usual)
     device.virtual.rewire()
     assert sum(counts(run(engine, 40)[settled:])) == 0
