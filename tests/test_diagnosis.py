@@ -484,7 +484,8 @@ def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame_an
 ) -> None:
     """A frame that takes a hundred times as long as others leaves a robot without touch where it needs it most; 25
     to 45 times, were every frame of 16T searched. What was taken for lifted contacts meanwhile, or for electrodes whose
-    contacts degrade, is none afterwards."""
+    contacts degrade, is none afterwards. An exchange is named now, and no longer searched: two at once,
+    which are not named, still take longer than this allows."""
 
     def seconds(frames: int) -> Floats:
         taken = []
