@@ -18,6 +18,7 @@ from ohmskin.arrays import Bools, Floats, changed
 from ohmskin.scan import Difference, Frame, newest
 from ohmskin.scan.coherence import Coherence, InstrumentErrors, NetworkData
 from ohmskin.scan.smoothing import smoothing_factor
+from ohmskin.sensing.confidence import common_change
 from ohmskin.sensing.contradiction import Contradiction
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
@@ -28,6 +29,8 @@ _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, which is not quite the same on all
 _UNLIKE = 0.4  # share of the signal that no contacts explain, above which it is reported; real skins have up to a third
+_COMMON = 0.04  # change of all voltages together, above which it is reported,
+_ALIKE = 0.95  # if it is that share of the signal; presses beside none are a quarter of it at most
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
 _NOISY = 1.3  # times the quiet skin's noise, above which it is reported
 _JUMPED = 4.0  # times the power of changes that no fault of wires explained, from which on one is looked for again
@@ -89,6 +92,11 @@ class FaultDetector:
         causes |= suspected | {Cause("degraded", (electrode,)) for electrode in degraded}
         unlike = before.unlike + smoothing_factor(elapsed, _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
+        common = before.common
+        if any(scan.known for scan in scans):
+            factor, alike = common_change(self._known, scans)
+            common = factor if alike > _ALIKE else 0.0
+            causes |= {Cause("common")} if abs(common) > _COMMON else set()
         lost = self._lost(frames)
         causes |= {Cause(kind) for kind, count in lost.items() if count}
         empty = not any(np.isfinite(scan.volts).any() for scan in scans)
@@ -133,9 +141,10 @@ class FaultDetector:
             scans=() if not self._window else looked if remedy is None or remedy.off is not None else repaired,
             unresolved=unresolved,
             contradiction=contradiction,
-            wires=wires.cause if wires else None,
+            wires=wires,
             without_fault=power if tried else min(power, before.without_fault),
             unlike=unlike,
+            common=common,
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
             recent=Diagnosis.recent_for(elapsed),

@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.quality import in_words
 from ohmskin.sensing.confidence import fit_confidence, scaled_confidence
 from ohmskin.sensing.contradiction import Contradiction
@@ -24,8 +24,8 @@ _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 class Cause(NamedTuple):
     """The kind of a fault of the data, and its electrodes.
 
-    Args: kind: ``open``, ``exchanged``, ``shorted``, ``degraded``, ``current``, ``currents``, ``unlike``, ``nothing``,
-            ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or ``noise``.
+    Args: kind: ``open``, ``exchanged``, ``shorted``, ``degraded``, ``current``, ``currents``, ``unlike``, ``common``,
+            ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
 
@@ -34,8 +34,8 @@ class Cause(NamedTuple):
 
     @property
     def spoils(self) -> bool:
-        """Whether data are doubtful because of it; what a loose contact does is known, and followed."""
-        return self.kind != "degraded"
+        """Whether data are doubtful because of it; what loose contacts and common changes do is known, and followed."""
+        return self.kind not in ("degraded", "common")
 
 
 UNLIKE, _SPIKES = Cause("unlike"), Cause("spikes")
@@ -55,6 +55,28 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
+class WireFault:
+    """A fault of wires.
+
+    Args:
+        cause: Its kind, ``exchanged`` or ``shorted``, and electrodes.
+        change: (n_pairs,) what it changes of the two-terminal resistances (ohm).
+    """
+
+    cause: Cause
+    change: Floats
+
+    def repaired(self, scan: Difference, pairs: Pairs) -> Difference:
+        """A scan without what a bridge does to the others; an exchange of two wires does nothing to these.
+
+        Args:
+            scan: What has changed.
+            pairs: Of electrodes.
+        """
+        return scan.minus(self.change, pairs) if self.cause.kind == "shorted" else scan
+
+
+@dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Detected faults of an instrument and its wires after a frame.
 
@@ -70,9 +92,10 @@ class Diagnosis:
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         unresolved: Frames since the first contradiction whose cause is not found.
         contradiction: What of the newest frames contradicts, if its cause is not found.
-        wires: Wires of the newest frame that are exchanged, or touch each other.
+        wires: Wires that are exchanged, or touch each other, in the newest frame.
         without_fault: Mean square of changes that no fault of wires explained (V2).
         unlike: Share of the data of recent frames that no contacts explain.
+        common: By what share all voltages have changed together, if that is most of the newest change (1).
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since the last frame with any valid value (s).
         recent: For how long a cause is a recent one (s).
@@ -89,9 +112,10 @@ class Diagnosis:
     scans: tuple[Difference, ...] = field(default=(), repr=False)
     unresolved: int = 0
     contradiction: Contradiction = field(default=Contradiction(), repr=False)
-    wires: Cause | None = None
+    wires: WireFault | None = None
     without_fault: float = 0.0
     unlike: float = 0.0
+    common: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
     recent: float = _WITHIN
@@ -126,7 +150,7 @@ class Diagnosis:
             contacts = tuple(one for one in contacts if one.id in {old.id for old in before})
         if UNLIKE in self.recent_causes:  # the frames before count, too, however well this one is explained
             contacts = scaled_confidence(contacts, fit_confidence(self.unlike))
-        if self.wires is not None and self.wires.kind == "shorted":
+        if self.wires is not None and self.wires.cause.kind == "shorted":
             contacts = scaled_confidence(contacts, _BRIDGED)
         return self.contradiction.doubted(contacts)
 
@@ -158,7 +182,9 @@ class Diagnosis:
                 many = f"electrodes {electrodes} are" if len(cause.electrodes) > 1 else f"electrode {electrodes} is"
                 return f"{many} open, or a wire is loose; left out"
             case "exchanged":
-                return f"the wires of electrodes {electrodes} are exchanged; left out"
+                ends = cause.electrodes[::2], cause.electrodes[1::2]
+                pairs = ", and of ".join(f"{a} and {b}" for a, b in zip(*ends, strict=True))
+                return f"the wires of electrodes {pairs} are exchanged; left out"
             case "shorted":
                 return f"electrodes {electrodes} touch each other, or their wires do; left out"
             case "degraded":
@@ -170,6 +196,9 @@ class Diagnosis:
             case "unlike":
                 causes = "another skin, swapped wires, damage, or more contacts than six"
                 return f"no contacts explain the change: {causes}; lift all, and calibrate again"
+            case "common":
+                causes = "temperature, or the instrument's current or gain; calibrate again"
+                return f"all voltages have changed by {100 * self.common:+.0f} % together: {causes}"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":

@@ -31,6 +31,7 @@ _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest 
 _DRIFT = 0.25  # share of the signal that contacts leave, from which on it is drift,
 _SURE = 2.0  # if that is surely more than noise (deviations),
 _LITTLE = 10.0  # and all is little (squared size over noise)
+_MEAN = 12  # frames of few injections, over which a mean of what contacts leave doubts them, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,15 +316,19 @@ class FilterReader:
         suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
-        contacts = scaled_confidence(state.contacts, fit_confidence(state.unexplained))
+        explains, unexplained = self.filter.explains(state), state.unexplained
+        if not explains and len(state.pressing) >= self.fitter.most:
+            unexplained = 1.0  # there are more than are looked for, so that any of these may be wrong
+        mean = before.unexplained + (unexplained - before.unexplained) / min(state.turn, _MEAN)
+        contacts = scaled_confidence(state.contacts, fit_confidence(max(unexplained, mean)))
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         recent = state.recent(self.injections)
         estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed)
-        belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
+        belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=mean)
         if state.possible >= 0:
             place = Target.possible(self.fitter.places[state.possible], self.fitter.table.radius)
             belief = changed(belief, search_targets=(place,))
-        return changed(belief, explains=self.filter.explains(state))
+        return changed(belief, explains=explains)
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

@@ -6,16 +6,15 @@ one ampere from a to b makes between i and j. Contacts may explain most of that 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts.information import Errors, Information
-from ohmskin.scan import Difference, Pairs
-from ohmskin.sensing.diagnosis import Cause
+from ohmskin.scan import Difference
+from ohmskin.sensing.diagnosis import Cause, WireFault
 from ohmskin.sensing.model import SkinModel
 
 _RIDGE = 1e-9  # of the information on a resistance, so that none is estimated without
@@ -23,29 +22,9 @@ _SURE = 10.0  # squared size of data over their noise, from which on they show a
 _UNEXPLAINED = 0.01  # share of the data that such a fault leaves at most
 _STILL = 0.3  # the same of one that was found before: a touch beside it changes little
 _BRIDGED = 0.5  # share of a short's effect that a bridge has at least; presses resemble weaker ones
+_LARGE = 0.02  # share of the quiet skin's power by which voltages change where two exchanges are tried; presses: less
+_FIRSTS = 8  # likeliest exchanges beside which a second one is tried
 _MOST = 32  # electrodes, beyond which there are too many pairs to try
-
-
-@dataclass(frozen=True, eq=False)
-class WireFault:
-    """A fault of two wires.
-
-    Args:
-        cause: Its kind, ``exchanged`` or ``shorted``, and electrodes.
-        change: (n_pairs,) what it changes of the two-terminal resistances (ohm).
-    """
-
-    cause: Cause
-    change: Floats
-
-    def repaired(self, scan: Difference, pairs: Pairs) -> Difference:
-        """A scan without what a bridge does to the others; an exchange of two wires does nothing to these.
-
-        Args:
-            scan: What has changed.
-            pairs: Of electrodes.
-        """
-        return scan.minus(self.change, pairs) if self.cause.kind == "shorted" else scan
 
 
 class WireFaults:
@@ -71,14 +50,19 @@ class WireFaults:
         return np.asarray(np.linalg.solve(normal, rows.T @ quiet))
 
     @cached_property
-    def exchanges(self) -> Floats:
-        """(n_pairs, n_pairs) what the exchange of each two wires changes of the two-terminal resistances (ohm)."""
-        pairs, changes = self._pairs, np.empty((len(self._pairs), len(self._pairs)))
-        for row, ends in zip(changes, pairs.ends, strict=True):
+    def _renumbered(self) -> Ints:
+        """(n_pairs, n_pairs) which pair each pair is once the wires of two electrodes are exchanged."""
+        pairs, renumbered = self._pairs, np.empty((len(self._pairs), len(self._pairs)), int)
+        for row, ends in zip(renumbered, pairs.ends, strict=True):
             order = np.arange(pairs.n_elec)
             order[ends] = ends[::-1]
-            row[:] = self.resistances[pairs.numbers[tuple(order[pairs.ends].T)]] - self.resistances
-        return changes
+            row[:] = pairs.numbers[tuple(order[pairs.ends].T)]
+        return renumbered
+
+    @cached_property
+    def exchanges(self) -> Floats:
+        """(n_pairs, n_pairs) what the exchange of each two wires changes of the two-terminal resistances (ohm)."""
+        return np.asarray(self.resistances[self._renumbered] - self.resistances)
 
     @cached_property
     def shorts(self) -> Floats:
@@ -98,24 +82,44 @@ class WireFaults:
         power = sum(float(own @ own) for own in volts) / max(count, 1)
         return power if power > _SURE * self._errors.noise**2 else 0.0
 
-    def found(self, scans: Sequence[Difference], before: Cause | None = None) -> WireFault | None:
+    def found(self, scans: Sequence[Difference], before: WireFault | None = None) -> WireFault | None:
         """The fault that explains scans; None if none does.
 
         Args:
             scans: What has changed, with `power`.
             before: The fault found in the last frame: beside it, something may touch the skin.
         """
-        known = [scan for scan in scans if scan.known]
-        data, faults = Information.of(self._pairs, self._errors, known)[0], list[tuple[float, WireFault]]()
-        for kind, changes in (("exchanged", self.exchanges), ("shorted", self.shorts)):
-            shown, powers = changes @ data.misfit.vector[:-1], data.misfit.norms(changes.T) ** 2
-            least = 1.0 if kind == "exchanged" else _BRIDGED
-            sizes = np.clip(shown / np.maximum(powers, 1e-300), least, 1.0)
-            costs = sizes * (sizes * powers - 2 * shown)
-            one = int(np.argmin(costs))
-            cause = Cause(kind, tuple(self._pairs.ends[one].tolist()))
-            faults.append((float(costs[one]), WireFault(cause, sizes[one] * changes[one])))
-        fault = min(faults, key=lambda tried: tried[0])[1]
-        signal, left = data.signals(fault.change)
-        most = _STILL if before == fault.cause else _UNEXPLAINED
-        return fault if signal > _SURE * data.count and left < most * signal else None
+        data = Information.of(self._pairs, self._errors, [scan for scan in scans if scan.known])[0]
+        if before is not None and _explains(before, data, _UNEXPLAINED):  # few injections may not show all of it
+            return before
+        exchanged, costs = _likeliest("exchanged", self._pairs.ends, self.exchanges, data)
+        shorted, more = _likeliest("shorted", self._pairs.ends, self.shorts, data)
+        fault = shorted if more.min() < costs.min() else exchanged
+        quiet = data.misfit.norms(self.resistances[:, None])[0] ** 2
+        if not _explains(fault, data, _UNEXPLAINED) and data.signals(fault.change)[0] > _LARGE * quiet:
+            fault = self._two_exchanges(np.argsort(costs)[:_FIRSTS], data)
+        if _explains(fault, data, _UNEXPLAINED):
+            return fault
+        return before if before is not None and _explains(before, data, _STILL) else None
+
+    def _two_exchanges(self, firsts: Ints, data: Information) -> WireFault:
+        """The likeliest two exchanges, one of them among the `firsts` (numbers of pairs)."""
+        ends, renumbered = self._pairs.ends, self._renumbered
+        both = renumbered[firsts[:, None, None], renumbered[None]].reshape(-1, len(ends))
+        wires = np.hstack([np.repeat(ends[firsts], len(ends), axis=0), np.tile(ends, (len(firsts), 1))])
+        return _likeliest("exchanged", wires, self.resistances[both] - self.resistances, data)[0]
+
+
+def _explains(fault: WireFault, data: Information, unexplained: float) -> bool:
+    """Whether a fault leaves at most that share of data."""
+    signal, left = data.signals(fault.change)
+    return signal > _SURE * data.count and left < unexplained * signal
+
+
+def _likeliest(kind: str, wires: Ints, changes: Floats, data: Information) -> tuple[WireFault, Floats]:
+    """The fault of some (n, k) wires each, and its changes (n, n_pairs), that explains data best; the costs (n,)."""
+    shown, powers = changes @ data.misfit.vector[:-1], data.misfit.norms(changes.T) ** 2
+    sizes = np.clip(shown / np.maximum(powers, 1e-300), 1.0 if kind == "exchanged" else _BRIDGED, 1.0)
+    costs = sizes * (sizes * powers - 2 * shown)
+    one = int(np.argmin(costs))
+    return WireFault(Cause(kind, tuple(dict.fromkeys(wires[one].tolist()))), sizes[one] * changes[one]), costs

@@ -9,6 +9,22 @@ from ohmskin.tracking.kernels import updated_common
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.state import TrackState
 
+STEP_STD = 1.0  # of a change of all resistances together that is a step
+_STEP = 200.0  # squared size of what was not foreseen, over noise, from which on it may be a step of all resistances,
+_STEP_LEAVES = 0.05  # if that leaves at most this share of it
+
+
+def is_step(state: TrackState) -> bool:
+    """Whether what was not foreseen of the newest frame is a change of all resistances together, as a step of the
+    instrument's gain makes it, and next to nothing else."""
+    innovation = state.history[0].innovation
+    signal = innovation.misfit.constant - innovation.count
+    if signal < _STEP:
+        return False
+    _, step = updated_common(innovation.misfit.part, (0.0, STEP_STD**2), 1.0)
+    gain = step * innovation.misfit.vector[-1]
+    return bool(signal - gain < _STEP_LEAVES * gain)
+
 
 def with_common_drift(state: TrackState, fitter: ContactFitter, before: tuple[float, float]) -> TrackState:
     """The state with the common change of all resistances that its newest frame shows beside all its contacts, given

@@ -21,7 +21,7 @@ from ohmskin.scan.pairs import in_series
 from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
 from ohmskin.tracking.degraded import with_better_degradation, without_degraded
-from ohmskin.tracking.drift import with_common_drift, with_learned_drift
+from ohmskin.tracking.drift import STEP_STD, is_step, with_common_drift, with_learned_drift
 from ohmskin.tracking.lift import explain_too_much, with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Observation, Residuals
@@ -93,6 +93,9 @@ class ContactFilter:
         under = fitter.covered(before.params[before.pressing]) if state.covered else []
         covered = tuple(e for e in state.covered if e in under)
         state = self._updated(before, covered, difference, elapsed)
+        if is_step(state):
+            before = changed(before, common_drift=(before.common_drift[0], STEP_STD**2))
+            state = self._updated(before, covered, difference, elapsed)
         if not before.pressing and explain_too_much(state, fitter, self.bar):
             state = self._updated(before.without(range(len(before.tracks))), covered, difference, elapsed)
         state = with_better_degradation(state)
