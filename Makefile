@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 SOURCES := src tests benchmarks examples docs firmware tools hatch_build.py
 
 WORKERS ?= 4 # for two cores: a third of the tests wait for a browser, a board or a device
-PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --no-loadscope-reorder
 
 DOTS := job=$$!; while kill -0 $$job 2>/dev/null; do printf .; sleep 2; done; echo; wait $$job
 

@@ -19,7 +19,8 @@ from typing import Any
 import hypothesis
 import pytest
 from leftovers import Leftovers
-from tiers import CHROMIUM, needs, order, rows
+from tiers import CHROMIUM, needs, rows
+from units import Units, unit
 
 ROOT = Path(__file__).parents[1]
 CHROMIUM_FLAGS = [
@@ -52,7 +53,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         for row in rows(item.path.name, item.name):
             item.add_marker(getattr(pytest.mark, row.marker)(reason=row.reason))
-    items.sort(key=lambda item: order(item.path.name))  # a stable sort: within a file nothing moves
+    items.sort(key=lambda item: unit(item.path.name, item.name))  # a stable sort: within a file nothing moves
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Units:
+    """Workers take files, and long tests of some files by themselves, in the order of the table."""
+    return Units(config, log)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from tiers import LONG, SLOWEST, TABLE, Need, needs
+from tiers import LONG, TABLE, Need, needs
+from units import SLOWEST, unit
 
 FOLDER = Path(__file__).parent
 FAILING = """
@@ -29,7 +30,6 @@ def test_one(broken):
 
 
 def test_every_row_names_a_test_that_exists() -> None:
-    assert all((FOLDER / path).exists() for path in SLOWEST)
     found = {
         f"{path.name}::{name}"
         for path in FOLDER.glob("test_*.py")
@@ -40,6 +40,16 @@ def test_every_row_names_a_test_that_exists() -> None:
         pattern = row.tests.partition("[[]")[0]  # without the parameters
         assert any(fnmatch(name, pattern if "::" in pattern else f"{pattern}::*") for name in found), row.tests
     assert all(LONG.values())
+    for row in SLOWEST:
+        assert any(fnmatch(name, row) for name in found) if "::" in row else (FOLDER / row).exists(), row
+
+
+def test_what_shares_fixtures_is_shared_out_together() -> None:
+    alone = unit("test_independent.py", "test_a_contact_that_degrades_is_no_touch[0-4.0-16P]")
+    assert alone[1] == "test_independent.py::test_a_contact_that_degrades_is_no_touch[0-4.0-16P]"
+    together = [unit("test_independent.py", f"test_a_quiet_skin_is_quiet[{seed}]") for seed in (0, 1)]
+    assert together == [(SLOWEST.index("test_independent.py"), "test_independent.py")] * 2
+    assert together[0] < alone < unit("test_of_no_row.py", "test_one") == (len(SLOWEST), "test_of_no_row.py")
 
 
 def test_what_is_missing_is_skipped_with_its_package_and_fails_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:

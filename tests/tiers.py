@@ -281,63 +281,6 @@ TABLE = (
     *(Row(tests, "smoke") for tests in SMOKE),
 )
 
-SLOWEST = (  # files that wait (for browsers, boards, lost devices) apart, the slowest of the others first
-    "test_terminal.py",
-    "test_compiling.py",
-    "test_view_browser.py",
-    "test_policies.py",
-    "test_guides.py",
-    "test_reproduce.py",
-    "test_documentation.py",
-    "test_independent.py",
-    "test_diagnosis.py",
-    "test_cli.py",
-    "test_sensing.py",
-    "test_meshed.py",
-    "test_curved.py",
-    "test_filter.py",
-    "test_accessible.py",
-    "test_skin.py",
-    "test_replay.py",
-    "test_recorder.py",
-    "test_import.py",
-    "test_publish_live.py",
-    "test_layout.py",
-    "test_robot.py",
-    "test_forces.py",
-    "test_holes.py",
-    "test_learn.py",
-    "test_view_states.py",
-    "test_engine.py",
-    "test_estimators.py",
-    "test_shipped_recordings.py",
-    "test_several.py",
-    "test_sheet.py",
-    "test_view_session.py",
-    "test_domains.py",
-    "test_dataset.py",
-    "test_evaluate_two_points.py",
-    "test_view_transport.py",
-    "test_auxiliary.py",
-    "test_self_test.py",
-    "test_package.py",
-    "test_evaluate_worlds.py",
-    "test_calibrate.py",
-    "test_fuzzing.py",
-    "test_guide.py",
-    "test_bigger.py",
-    "test_cpp_client.py",
-    "test_contact_layer.py",
-    "test_channels.py",
-    "test_hostile.py",
-    "test_firmware_loop.py",
-    "test_live_browser.py",
-    "test_body_page.py",
-    "test_faults.py",
-    "test_electrodes_page.py",
-)
-
-
 def rows(path: str, name: str) -> list[Row]:
     """The rows of the table that speak of a test: its file's name, and its own name with parameters."""
     return [row for row in _of_file(path) if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
@@ -346,8 +289,3 @@ def rows(path: str, name: str) -> list[Row]:
 @cache
 def _of_file(path: str) -> list[Row]:
     return [row for row in TABLE if row.tests.partition("::")[0] == path]
-
-
-def order(path: str) -> int:
-    """Where a file comes among the others: those that take longest first."""
-    return SLOWEST.index(path) if path in SLOWEST else len(SLOWEST)
