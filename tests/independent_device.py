@@ -36,38 +36,52 @@ class Sheet:
         self._contact = 1 / (CONTACT * np.exp(0.15 * rng.normal(size=16)))
         rows = np.arange(-1, int(SIDE / (PITCH * math.sqrt(0.75))) + 2)
         lattice = [(PITCH * (k + (row % 2) / 2), PITCH * math.sqrt(0.75) * row) for row in rows for k in range(-1, 27)]
-        self._patches = [cover for place in lattice if len(cover := self._near(place, PATCH))]
+        covers = [(place, cover) for place in lattice if len(cover := self._near(place, PATCH))]
+        self._places, self._patches = np.array([place for place, _ in covers]), [cover for _, cover in covers]
         self._area = (SIDE / (NODES - 1)) ** 2
+        self._solved = dict[tuple, np.ndarray]()
         self.touches: dict[int, tuple[float, float, float]] = {}
         self.touch({})
 
     def _near(self, place: object, radius: float) -> np.ndarray:
-        return np.flatnonzero(((self._nodes - np.asarray(place)) ** 2).sum(axis=1) <= radius**2)
+        x, y = np.asarray(place)
+        low, high = np.searchsorted(self._nodes[::NODES, 0], (x - 1.01 * radius, x + 1.01 * radius)) * NODES
+        near = (self._nodes[low:high, 0] - x) ** 2 + (self._nodes[low:high, 1] - y) ** 2 <= radius**2
+        return low + np.flatnonzero(near)
 
     def warm(self, factor: float) -> None:
         """Let all of the sheet conduct that many times as well."""
         self._sheet *= factor
-        self.touch(self.touches)
+        self._changed()
 
     def drift(self, change: float, wave: tuple[float, float]) -> None:
         """Let the sheet conduct better by as much as a share, in waves over it (rad/m)."""
         self._sheet *= np.exp(change * np.sin(self._nodes @ np.asarray(wave)))
-        self.touch(self.touches)
+        self._changed()
 
     def degrade(self, electrode: int, factor: float) -> None:
         """Let the contact of an electrode have that many times its resistance."""
         self._contact[electrode] /= factor
-        self.touch(self.touches)
+        self._changed()
 
     def exchange(self, one: int, other: int) -> None:
         """Let the wires of two electrodes be exchanged."""
         self._under[one], self._under[other] = self._under[other], self._under[one]
         self._contact[[one, other]] = self._contact[[other, one]]
+        self._changed()
+
+    def _changed(self) -> None:
+        self._solved.clear()
         self.touch(self.touches)
 
     def touch(self, touches: dict[int, tuple[float, float, float]]) -> None:
         """Touch at x, y (m) with a pressure (Pa) over 6 mm; each in place of those before."""
         self.touches = touches
+        if (key := tuple(touches.items())) not in self._solved:
+            self._solved[key] = self._solve()
+        self.potentials = self._solved[key]  # of each electrode, by a current into each (ohm)
+
+    def _solve(self) -> np.ndarray:
         index, sheet = np.arange(NODES**2).reshape(NODES, NODES), self._sheet.reshape(NODES, NODES)
         ends, values = [], []
         for near, far in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
@@ -80,9 +94,11 @@ class Sheet:
         for number, under in enumerate(self._under):
             ends.append((under, np.full(len(under), NODES**2 + number)))
             values.append(np.full(len(under), self._contact[number] / len(under)))
-        for cover in self._patches:
+        touched = [np.hypot(*(self._places - touch[:2]).T) < 6e-3 + PATCH for touch in self.touches.values()]
+        for patch in np.flatnonzero(np.any(touched, axis=0)):
+            cover = self._patches[patch]
             layer = np.zeros(len(cover))
-            for x, y, pressure in touches.values():
+            for x, y, pressure in self.touches.values():
                 inside = np.hypot(*(self._nodes[cover] - (x, y)).T) < 6e-3
                 layer += inside * LAYER * (pressure / 2e4) ** 0.8 * self._area
             if np.count_nonzero(layer) > 1:
@@ -96,8 +112,10 @@ class Sheet:
         whole = (whole + sp.diags_array(ground - whole.sum(axis=1))).tocsc()
         into = np.zeros((count, 16))
         into[NODES**2 : NODES**2 + 16] = np.eye(16) - 1 / 16
-        solved = splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(into)
-        self.potentials = solved[NODES**2 : NODES**2 + 16]  # of each electrode, by a current into each (ohm)
+        # few columns at a time, as a lattice has: a third less time than as SuperLU comes
+        factors = splu(whole, permc_spec="MMD_AT_PLUS_A", relax=1, panel_size=4, options={"SymmetricMode": True})
+        solved: np.ndarray = factors.solve(into)
+        return solved[NODES**2 : NODES**2 + 16]
 
 
 class IndependentDevice:

@@ -281,6 +281,7 @@ TABLE = (
     *(Row(tests, "smoke") for tests in SMOKE),
 )
 
+
 def rows(path: str, name: str) -> list[Row]:
     """The rows of the table that speak of a test: its file's name, and its own name with parameters."""
     return [row for row in _of_file(path) if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
