@@ -130,7 +130,8 @@ class PressFitter:
         With 0 frames, for a model without error.
         """
         fitter, four = self.known.fitter, np.concatenate([scan.pattern.quadruples for scan in scans])
-        repeats = frames * len(four) / len(np.unique(four, axis=0))
+        numbers = np.ravel_multi_index(tuple(four.T), (int(four.max()) + 1,) * 4)  # sorted much faster than rows
+        repeats = frames * len(four) / len(np.unique(numbers))
         errors = replace(fitter.errors, model=self._model_error * np.sqrt(repeats))
         return Information.of(fitter.table.pairs, errors, scans)[1].misfit.sums
 
@@ -187,6 +188,8 @@ class PressFitter:
 
     def groups(self, presses: Sequence[Press]) -> Ints:
         """The group (n,) of each of the `presses`: those near each other, by single linkage, are in one."""
+        if len(presses) == 1:
+            return np.zeros(1, int)
         places = np.array([press.position for press in presses])
         offsets = self.known.fitter.table.offsets
         near = [np.hypot(*offsets(np.tile(place, (len(places), 1)), places).T) < _NEAR for place in places]
