@@ -2,6 +2,7 @@
 in the forces of contacts."""
 
 import re
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -139,6 +140,7 @@ def test_a_total_of_nothing_is_no_surer_than_the_channel() -> None:
 def test_a_total_that_contacts_cannot_have_or_that_is_not_there_changes_nothing() -> None:
     given = (contact(5.0, 0.2), contact(5.0, 0.3))
     assert fused(given, 30.0) == given  # a palm beside the contacts
+    assert fused((contact(5.0, 2.0), contact()), -2.0) == (contact(5.0, 2.0), contact())  # its sign is wrong
     assert fused(given, float("nan")) == given
     assert fused(given, 12.0, PAPER) == given
     assert TotalForce(Known(AIR, 100.0))(given, [frame(None)]) == given  # type: ignore[arg-type]
@@ -161,8 +163,8 @@ def test_a_channel_that_is_silent_stuck_or_unlike_the_contacts_is_told_once() ->
         (lambda _: None, (), 100.0, "reads nothing, and forces are without it"),
         (lambda _: np.nan, (5.0,), 100.0, "reads nothing, and forces are without it"),
         (lambda k: 300 + noise[k], (5.0,), np.nan, "read nothing at rest and is not used"),
-        (lambda _: 100.0, (0.0,), 100.0, "has stuck at 100 Pa, and forces are wrong"),
-        (lambda k: -100 + noise[k], (0.0,), 100.0, r"shows -\S+ N, and forces are wrong; its sign"),
+        (lambda _: 100.0, (0.0,), 100.0, "has stuck at 100 Pa, and forces are without it"),
+        (lambda k: -100 + noise[k], (0.0,), 100.0, r"shows -\S+ N, and forces are without it; its sign"),
         (lambda k: 20100 + noise[k], (5.0,), 100.0, r"shows \S+ N, the contacts 5 N; check the unit"),
     ):
         (told,) = said(readings, *forces, rest=rest)
@@ -210,6 +212,21 @@ def felt(engine: Engine, *presses: Press) -> list[float]:
         near = [c for c in touches[-1].contacts if np.hypot(*np.subtract(c.position, press.position)) < 0.01]
         found.append(near[0].force if near and near[0].force is not None else np.nan)
     return found
+
+
+def test_a_channel_that_has_stuck_is_told_and_forces_go_on_without_it() -> None:
+    with Engine(lambda: DirectDevice(VirtualSkin(AIR, 5)), replace(AIR, calibration=LAYER)) as engine:
+        engine.calibrate()
+        at_rest = engine.known.quiet.rest  # type: ignore[union-attr]
+        press = Press((0.1, 0.1), 8e-3, 20e3)
+        engine.press(0, press.position, press.radius, press.pressure)
+        engine.device.spoil = lambda frame: replace(frame, auxiliary=at_rest)  # type: ignore[attr-defined]
+        began = time.monotonic()
+        while not engine.message and time.monotonic() < began + 30:
+            engine.step()
+        assert "has stuck" in engine.message
+        (found,) = next(engine.touches()).contacts
+    assert found.force == pytest.approx(press.force(FOAM), rel=0.3)
 
 
 def some_press(random: np.random.Generator) -> Press:

@@ -24,6 +24,11 @@ class AuxiliaryCheck:
         self._kind, self._since, self._frames, self._same, self._last = "", 0.0, 0, 0, float("nan")
         self._told = ("", "")
 
+    @property
+    def trusted(self) -> bool:
+        """Whether forces may be brought to the total; `TotalForce` itself leaves out what is negative or missing."""
+        return self._told[0] not in ("stuck", "apart")
+
     def doubt(self, known: SkinModel, percept: Percept) -> str:
         """What is doubtful after a frame, in words; empty if nothing is, or there is no such channel."""
         if not known.skin.auxiliary.kind:
@@ -47,11 +52,11 @@ class AuxiliaryCheck:
         self._same, self._last = self._same + 1 if reading == self._last else 0, reading
         if self._same >= _SAME and _seldom_repeats(known.quiet.auxiliary):
             stuck = f"the auxiliary channel has stuck at {reading:.4g} {unit}"
-            return "stuck", f"{stuck}, and forces are wrong; {_CHECK}"
+            return "stuck", f"{stuck}, and forces are without it; {_CHECK}"
         total, variance = TotalForce(known).total(percept.frames)
         if total < -_SURE * sqrt(variance):
             why = "its sign or wire is wrong, or it has drifted: measure the quiet skin again"
-            return "negative", f"the auxiliary channel shows {total:.3g} N, and forces are wrong; {why}"
+            return "negative", f"the auxiliary channel shows {total:.3g} N, and forces are without it; {why}"
         forces = [contact.force for contact in percept.contacts if contact.force is not None]
         if not forces or len(forces) < len(percept.contacts):
             return None if self._told[0] in _LASTS else ("", "")

@@ -145,6 +145,7 @@ class Engine(Closing):
             if due := self._sensors.due():
                 self.set_mode(due)
                 self._notices.awaited("", f"{self.mode.label} from here on")
+            self.sensor.total.trusted = self._notices.total_trusted
             self._sensed, percept = self.sensor.step(self._sensed, self._scan)
         except LINK_ERRORS as error:  # a new connection may help
             self._lose(error)

@@ -74,6 +74,11 @@ class Notices:
             self.message = words or self._standing
         self._found = causes
 
+    @property
+    def total_trusted(self) -> bool:
+        """Whether forces may be brought to the total of the auxiliary channel."""
+        return self._auxiliary.trusted
+
     def auxiliary(self, known: SkinModel, percept: Percept) -> None:
         """Report what is doubtful of the auxiliary channel, which holds while it is."""
         if (doubt := self._auxiliary.doubt(known, percept)) == self._total:

@@ -20,11 +20,14 @@ class TotalForce:
 
     Args:
         known: What is known of the skin; its quiet frames have what the channel reads at rest.
+
+    Attributes:
+        trusted: Whether forces are brought to the total; false while the channel is known to be faulty.
     """
 
     def __init__(self, known: SkinModel) -> None:
         self._channel = known.skin.calibrated_auxiliary
-        self._present, self._rest = bool(self._channel.kind), known.quiet.rest
+        self._present, self._rest, self.trusted = bool(self._channel.kind), known.quiet.rest, True
         self._rest_variance = self._channel.noise**2 / max(len(known.quiet.auxiliary), 1)
 
     def total(self, frames: Sequence[Frame]) -> tuple[float, float]:
@@ -38,12 +41,13 @@ class TotalForce:
         """Contacts with forces that add up to the total, each changed the more the less sure it was (a Kalman update).
 
         Contacts of unknown force share what is left of the total by their strengths. A total that the contacts
-        cannot have is of something that is no contact yet, or beside the skin: then they stay as they are.
+        cannot have is of something that is no contact yet, or beside the skin: then they stay as they are. So they do
+        where it is not known, or surely negative.
         """
-        if not (self._present and contacts):
+        if not (self._present and self.trusted and contacts):
             return contacts
         total, variance = self.total(frames)
-        if not isfinite(total):
+        if not total >= -_APART * sqrt(variance):  # or it is NaN
             return contacts
         forces, stds = _known_forces(contacts, total, sqrt(variance))
         gain = stds**2 / (variance + float(stds @ stds))
