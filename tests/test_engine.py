@@ -339,13 +339,15 @@ def test_another_device_in_its_place_is_calibrated(skin: Skin, monkeypatch: pyte
     told: list[str] = []
     pending = iter(devices)
     with Engine(lambda: next(pending), skin, report=told.append) as engine:
-        engine.calibrate()
-        before = engine.known
+        shares: list[float] = []
+        engine.calibrate(shares.append)
+        before, first = engine.known, len(shares)
         devices[0].gone = True
         engine.step()
         engine.step()
         assert engine.state is State.RUNNING
         assert engine.known is not before
+    assert shares[first:] == shares[:first]  # progress is told as it was of the first
     assert any("another device" in line for line in told)
 
 

@@ -218,6 +218,21 @@ def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:
         assert told["message"] == "device lost: the plug was pulled; reconnecting"
 
 
+def test_how_far_the_calibration_of_another_device_is_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    devices = [DirectDevice(VirtualSkin(Skin.load("paper"), seed=k), serial=k) for k in (1, 2)]
+    pending = iter(devices)
+    with Engine(lambda: next(pending), Skin.load("paper")) as engine, PageSession(engine, "", Page(), False) as session:
+        session.calibrate()
+        devices[0].gone = True
+        told = Looker(session, devices[1]).send("lift_all")
+    shares = [header["progress"] for header in told if header["state"] == "calibrating"]
+    assert len(shares) > 10
+    assert shares == sorted(shares)
+    assert told[-1]["state"] == "running"
+    assert told[-1]["progress"] is None
+
+
 def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Looker) -> None:
     last = looker.send("mode", mode="16O")[-1]
     assert last["findings"] == []

@@ -63,8 +63,8 @@ class Engine(Closing):
         prior: str = "",
         rule: str = "",
     ) -> None:
-        self.skin, self._open_device, self._notices = skin, open_device, Notices(report)
-        self.state = State.CALIBRATING
+        self.skin, self._open_device, self._notices, self.state = skin, open_device, Notices(report), State.CALIBRATING
+        self._progress: Callable[[float], None] = lambda _: None
         self.device = self._opened()
         recorded = self.device.reference
         self._recorded: Drive | None = Fixed(recorded[0].pattern) if recorded else None
@@ -84,19 +84,18 @@ class Engine(Closing):
         self._sensed: SensorState
         self._beliefs: dict[str, Belief] = {}  # the last one of each reader
         self._monitor, self._gestures = HealthMonitor(), GestureFollower()
-        self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
-        self.scans_made = 0
+        self._sequence, self._sampled, self._retry_at, self._dropped_before, self.scans_made = 0, 0.0, 0.0, 0, 0
 
     @property
     def message(self) -> str:
         """Notice for the user, such as why the device is lost; empty if there is none."""
         return self._notices.message
 
-    def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
+    def calibrate(self, progress: Callable[[float], None] | None = None) -> None:
         """Learn the quiet skin: reference data and noise, then gamma_0 of the mode. Keep it untouched meanwhile.
 
         Args:
-            progress: Called with the share done, 0 to 1.
+            progress: Called with the share done, 0 to 1, also when the loop calibrates by itself; None: as before.
 
         Raises:
             DeviceLost: If the device is lost. The previous calibration is kept.
@@ -104,6 +103,7 @@ class Engine(Closing):
             ModelError: If the estimator or the prior is unknown, or does not go with the skin.
             PatternError: If the device cannot drive the mode.
         """
+        progress = self._progress = progress or self._progress
         (before, message), self.state = (self.state, self.message), State.CALIBRATING
         detected = self.known and any(one.confidence > _LIKELY for one in self._sensed.belief.contacts)
 

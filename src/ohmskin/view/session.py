@@ -51,17 +51,14 @@ class PageSession(Closing):
         self._note, self._note_until = "", 0.0
         self._preparing = ""
         self._forces, self._outcome = GuidedForces(engine), ""
-        self._calibrated: float | None = None  # share of a calibration that is under way
+        self._calibrated = 0.0  # share of the calibration that is under way
         view.show(setup_of(engine, url, self._raster, self._recording))
 
     def calibrate(self) -> None:
         """Learn the quiet skin, everything lifted, and say so on the page."""
         self._lift_all()
         self._stop_demo_press()
-        try:
-            self._engine.calibrate(self._progress)
-        finally:
-            self._calibrated = None
+        self._engine.calibrate(self._progress)
 
     def step(self) -> Touch | None:
         """Do what the page asks, move the demonstration finger, run one cycle of the loop, show it.
@@ -256,7 +253,7 @@ class PageSession(Closing):
             **{name: getattr(engine.mode, name) for name in ("estimator", "prior", "rule")},
             "preparing": self._preparing,
             "guided": self._outcome,
-            "progress": self._calibrated,
+            "progress": self._calibrated if self._engine.state is State.CALIBRATING else None,
             "contacts": [],
             "gesture": None,
             "bad_electrodes": [],
