@@ -150,7 +150,7 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
             assert math.pi * (marker.scale.x / 2) ** 2 == pytest.approx(contact.extent)
             assert (marker.header.frame_id, marker.id, marker.pose.orientation.w) == ("skin", contact.id, 1.0)
     health = found["/ohmskin/health"][0][1].status[0]
-    assert {v.key for v in health.values} >= {"rate", "latency_p99", "noise", "dropped"}
+    assert {v.key for v in health.values} >= {"rate_Hz", "latency_p99_s", "noise_V", "dropped", "waiting"}
 
 
 @given(

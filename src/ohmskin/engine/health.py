@@ -7,6 +7,7 @@ import numpy as np
 
 _WINDOW = 1000  # cycles over which latencies are reported
 _SPAN = 1.0  # seconds over which rates are reported
+_UNITS = {"rate": "Hz", "latency_p50": "s", "latency_p99": "s", "noise": "V"}
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,11 @@ class Health:
     def figures(self) -> dict[str, float]:
         """All but the count of cycles by name, for pages and JSON."""
         return {name: value for name, value in vars(self).items() if name != "cycles"}
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """All by name and unit, for diagnostics: ``rate_Hz``, ``latency_p50_s``, ..."""
+        return {f"{name}_{_UNITS[name]}" if name in _UNITS else name: value for name, value in vars(self).items()}
 
 
 class HealthMonitor:

@@ -82,7 +82,7 @@ class Publisher(Closing):
         if now >= self._health_due:
             self._health_due = now + _HEALTH_EVERY
             message = "; ".join(finding.words for finding in touch.percept.findings)[:_LONGEST_MESSAGE]
-            told = touch.health.figures, message, self._about, stamp, f"ohmskin: {self._name}"
+            told = touch.health.diagnostics, message, self._about, stamp, f"ohmskin: {self._name}"
             self._health.write(encode_health(*told))
         self._relay.wake()
 

@@ -132,9 +132,7 @@ class Recorder(Closing):
             self._pipe.send(MARKERS, number, stamp, standard.encode_markers(contacts, (_SHEET,), stamp))
         if clock >= self._health_at:
             self._health_at = clock + _HEALTH_EVERY
-            health = touch.health
-            values = {name: float(value) for name, value in vars(health).items() if isinstance(value, int | float)}
-            values["recorder_dropped"] = float(sum(self.progress.dropped.values()))
+            values = touch.health.diagnostics | {"recorder_dropped": sum(self.progress.dropped.values())}
             message = self._engine.message if self._engine is not None else ""
             self._pipe.send(HEALTH, number, stamp, standard.encode_health(values, message, self._device, stamp))
 
