@@ -45,6 +45,8 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
         (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of dome, ktc2023, paper"),
         (["live", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
         (["live", "--device", "nosuch:1"], "no driver for 'nosuch:1'"),
+        (["scan", "--device", "virtual"], "no driver for 'virtual'; an address begins with one of"),
+        (["press", "50", "120", "--device", "virtual"], "no driver for 'virtual'; an address begins with one of"),
         (["live", "--mode", "99Z", "--headless"], "'99Z' is not possible"),
         (["live", "--seconds", "-1"], "must be positive"),
         (["live", "--estimator", "nosuch"], "no estimator 'nosuch'; choose from gauss-newton, positive, kalman"),

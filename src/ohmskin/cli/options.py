@@ -186,11 +186,11 @@ def open_skin(
     `meanwhile` is called with the skin while the process of a virtual one starts.
 
     Raises:
+        DeviceError: If there is no driver for the device.
         SkinError: If a real skin is to have `faults`.
     """
-    scheme, _, rest = device.partition(":")
-    if scheme == "virtual":
-        description = Skin.load(skin or rest or "paper")
+    if scheme_of(device) == "virtual":
+        description = Skin.load(skin or device.partition(":")[2] or "paper")
         opened = connect("virtual:", skin=description, faults=faults, meanwhile=lambda: meanwhile(description))
         return opened, description
     if faults:

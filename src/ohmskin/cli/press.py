@@ -3,6 +3,7 @@
 import time
 
 from ohmskin.device import connect
+from ohmskin.device.registry import scheme_of
 from ohmskin.errors import OhmskinError
 
 _STEPS_PER_SECOND = 50
@@ -31,7 +32,7 @@ def press(
     """
     if not 0 < seconds <= 3600:
         raise OhmskinError(f"--seconds is {seconds:g}; it must be above 0 and at most 3600")
-    if device.partition(":")[0] == "virtual":
+    if scheme_of(device) == "virtual":
         raise OhmskinError(f"{device} belongs to this command alone; run `ohmskin serve-skin` and press that one")
     with connect(device) as skin:
         steps = max(1, round(seconds * _STEPS_PER_SECOND)) if to else 1
