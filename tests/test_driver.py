@@ -725,8 +725,11 @@ def test_rubbish_does_not_take_the_server_down(server: DeviceServer) -> None:
 @pytest.mark.parametrize(
     ("url", "match"),
     [
-        ("tcp://127.0.0.1", "lacks a host or a port"),
-        ("tcp://127.0.0.1:99999", "need tcp://host:port"),
+        ("tcp://127.0.0.1", "has no host and port; need tcp://HOST:PORT with a port of 1 to 65535"),
+        ("tcp://127.0.0.1:99999", "has no host and port; need tcp://HOST:PORT with a port of 1 to 65535"),
+        ("tcp://::1", r"has no host and port; .* or tcp://\[::1\]:7155 for an IPv6 address"),
+        ("tcp://::1:7155", r"has no host and port; .* or tcp://\[::1\]:7155 for an IPv6 address"),
+        ("tcp://[::1]:1", r"\[::1\]:1"),
         ("tcp://127.0.0.1:1?fast=1", "option 'fast'; tcp takes none"),
         ("serial:///dev/ttyS0?speed=1", "option 'speed'; serial takes baud"),
         ("serial:///dev/ttyS0?baud=fast", "baud is 'fast'"),

@@ -58,10 +58,11 @@ def open_transport(url: str) -> Transport:
     if parts.scheme == "tcp":
         try:
             host, port = parts.hostname, parts.port
-        except ValueError as error:
-            raise DeviceError(f"{url!r}: {error}; need tcp://host:port such as tcp://127.0.0.1:7155") from error
+        except ValueError:  # no number, or too large a one
+            host = port = None
         if not host or not port:
-            raise DeviceError(f"{url!r} lacks a host or a port; need tcp://host:port such as tcp://127.0.0.1:7155")
+            needed = "a port of 1 to 65535, such as tcp://127.0.0.1:7155, or tcp://[::1]:7155 for an IPv6 address"
+            raise DeviceError(f"{url!r} has no host and port; need tcp://HOST:PORT with {needed}")
         if more := parts.path.strip("/") or parts.username or parts.fragment:
             raise DeviceError(f"{url!r} has {more!r} beside host and port; leave it out, as in tcp://127.0.0.1:7155")
         return SocketTransport.connect(host, port)
@@ -97,14 +98,15 @@ class SocketTransport:
         Raises:
             DeviceLost: If nothing accepts the connection within 3 s.
         """
+        place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"  # IPv6 or not
         try:
-            return cls(socket.create_connection((host, port), _CONNECT_TIMEOUT), f"tcp://{host}:{port}")
+            return cls(socket.create_connection((host, port), _CONNECT_TIMEOUT), f"tcp://{place}")
         except (OSError, UnicodeError) as error:  # the second one at a name that cannot be one, such as "a..b"
-            why = f"cannot reach {host}:{port}: {error}; check the address and the network"
+            why = f"cannot reach {place}: {error}; check the address and the network"
             if isinstance(error, ConnectionRefusedError):
-                why = f"no device at {host}:{port}; is `ohmskin serve-skin` running there?"
+                why = f"no device at {place}; is `ohmskin serve-skin` running there?"
             elif isinstance(error, TimeoutError):
-                why = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall"
+                why = f"{place} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall"
             raise DeviceLost(why) from error
 
     def read(self, timeout: float) -> bytes:
