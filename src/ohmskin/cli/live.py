@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ohmskin.cli.arrivals import Arrivals
-from ohmskin.cli.loop import CalibrationReport, calibrating, open_loop, refuse_existing
+from ohmskin.cli.loop import CalibrationReport, calibrating, open_loop
 from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
@@ -27,6 +27,7 @@ from ohmskin.cli.options import (
     Stop,
     check_publishing,
     check_source,
+    refuse_existing,
     refuse_unused,
     say,
 )
@@ -74,7 +75,7 @@ def live(
     if record is not None:
         refuse_existing(record)
     if publish:
-        check_publishing(publish, page)
+        check_publishing(publish, page, name)
     page.check("--headless" if headless else "--json" if json else "", bool(publish))
     if not publish:
         refuse_unused("without --publish", name=name != "skin", frame=frame != "skin")

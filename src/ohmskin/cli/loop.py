@@ -9,7 +9,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TextIO
 
-from ohmskin.cli.options import AS_THE_MODE, Demo, DeviceUrl, Imaging, ModeName, Seconds, SkinName, Stop, open_skin, say
+from ohmskin.cli.options import (
+    AS_THE_MODE,
+    Demo,
+    DeviceUrl,
+    Imaging,
+    ModeName,
+    Seconds,
+    SkinName,
+    Stop,
+    open_skin,
+    refuse_existing,
+    say,
+)
 from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
@@ -196,17 +208,6 @@ def open_loop(
         player = Player(engine, mode, notify) if isinstance(opened, ReplayDevice) else None
         sinks: list[Callable[[Touch], None]] = [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
         yield Loop(engine, player, sinks, notify)
-
-
-def refuse_existing(file: Path) -> None:
-    """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
-    if file.suffix != ".mcap":
-        name = file.with_suffix(".mcap")
-        raise OhmskinError(f"{file}: recordings are MCAP files; record to {name}, `ohmskin export` converts them")
-    if file.exists():
-        raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
-    if not file.absolute().parent.is_dir():
-        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; create it first")
 
 
 def _summary(file: Path, progress: Progress) -> str:

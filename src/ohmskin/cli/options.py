@@ -235,14 +235,31 @@ def check_recording(file: Path) -> None:
         raise DataError(f"there is no file {file}; `ohmskin examples` writes two recordings to try")
 
 
-def check_publishing(outlets: Sequence[str], page: _Page) -> None:
-    """Raise PublishError if something cannot be published so, such as for an extra that is missing."""
+def refuse_existing(file: Path) -> None:
+    """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
+    if file.suffix != ".mcap":
+        name = file.with_suffix(".mcap")
+        raise OhmskinError(f"{file}: recordings are MCAP files; record to {name}, `ohmskin export` converts them")
+    if file.exists():
+        raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
+    if not file.absolute().parent.is_dir():
+        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; create it first")
+
+
+def check_publishing(outlets: Sequence[str], page: _Page, name: str) -> None:
+    """Raise OhmskinError if it is plain that something of that name cannot be published to these outlets; asked before
+    the device is opened, which takes a while."""
+    from ohmskin.client.board import check_name
     from ohmskin.outlets.outlet import check_outlet
     from ohmskin.outlets.publisher import check_settings
 
+    check_name(name)
     check_settings(page.token or None, images=1.0)
     for address in outlets:
         check_outlet(address)
+        kind, _, place = address.partition(":")
+        if kind == "mcap":
+            refuse_existing(Path(place))
 
 
 def watched(cycles: Iterable["Replayed"]) -> Iterator["Replayed"]:

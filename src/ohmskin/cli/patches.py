@@ -45,7 +45,8 @@ def patches(
     each new contact.
     """
     loaded = Body.load(body)
-    check_publishing(publish, page)
+    outlets = [*publish, *([f"mcap:{record}"] if record else [])]
+    check_publishing(outlets, page, loaded.name)
     page.check("--headless" if headless else "", bool(publish or joints))
     if not joints:
         refuse_unused("without --joints", joint_topic=joint_topic != "/joint_states")
@@ -56,7 +57,7 @@ def patches(
         all_patches = stack.enter_context(
             Patches(
                 loaded,
-                [*publish, *([f"mcap:{record}"] if record else [])],
+                outlets,
                 page.token or None,
                 demo,
                 joints=joints,

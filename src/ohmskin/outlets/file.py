@@ -26,8 +26,6 @@ class FileOutlet:
     """
 
     def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
-        if not place.endswith(".mcap"):
-            raise PublishError(f"mcap:{place} names no MCAP file; use mcap:FILE.mcap")
         self.address = f"mcap:{place}"
         try:
             self._disk = Disk(place)

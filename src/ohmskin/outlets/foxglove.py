@@ -12,7 +12,6 @@ from ohmskin.errors import PublishError
 from ohmskin.outlets.topics import Topic
 
 PORT = 8765
-_PLACE = re.compile(r"(\[[0-9a-fA-F:.]+\]|[^:/\[\]]*)(?::(\d{1,5}))?")
 _BACKLOG = 64  # messages kept for a viewer that is slow; then the oldest go
 
 
@@ -29,9 +28,8 @@ class FoxgloveOutlet:
     """
 
     def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
-        found = _PLACE.fullmatch(place)
-        if not found or int(found[2] or 0) > 65535:
-            raise PublishError(f"foxglove:{place} is not a place; use foxglove or foxglove:HOST:PORT")
+        found = re.fullmatch(r"(\[.*\]|[^:]*):?(\d*)", place)
+        assert found is not None
         host, port = found[1].strip("[]") or "127.0.0.1", int(found[2] or PORT)
         context = self._context = foxglove.Context()  # its channels close when it goes
         self._channels = {

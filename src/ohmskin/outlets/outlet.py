@@ -1,5 +1,6 @@
 """Outlets: the ways out of a publishing process, one class for each protocol, all with one method."""
 
+import re
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,6 +14,13 @@ _HOMES = {
     "dds": ("ohmskin.outlets.dds", "DdsOutlet", "cyclonedds"),
     "foxglove": ("ohmskin.outlets.foxglove", "FoxgloveOutlet", "foxglove"),
     "mcap": ("ohmskin.outlets.file", "FileOutlet", "mcap"),
+}
+_HOST = r"(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+)"
+_PLACES = {
+    "zenoh": (rf"((listen/)?tcp/{_HOST}:[1-9]\d{{0,4}})?", "zenoh, zenoh:tcp/HOST:PORT or zenoh:listen/tcp/HOST:PORT"),
+    "dds": (r"[A-Za-z0-9_.:@-]{0,32}", "dds or dds:INTERFACE, of which `ip link` lists what there is"),
+    "foxglove": (rf"({_HOST}?(:\d{{1,5}})?)", "foxglove or foxglove:HOST:PORT"),
+    "mcap": (r".*[^/]\.mcap", "mcap:FILE.mcap"),
 }
 KINDS = ("shm", *_HOMES)
 """What `--publish` takes. Shared memory needs no outlet: it is where outlets read."""
@@ -55,13 +63,19 @@ def open_outlet(address: str, topics: Sequence[Topic], node: str, token: str | N
 
 
 def check_outlet(address: str) -> None:
-    """Hold the kind of an address against those there are.
+    """Hold an address against those there are; nothing is opened for that.
 
     Raises:
-        PublishError: If there is no such kind, or its extra is missing.
+        PublishError: If there is no such kind, its extra is missing, or the place is none of that kind.
     """
     kind, _, place = address.partition(":")
     if kind not in KINDS or (kind == "shm" and place):
         raise PublishError(f"cannot publish to {address!r}; choose from {', '.join(KINDS)}")
-    if kind in _HOMES and find_spec(_HOMES[kind][-1]) is None:
+    if kind not in _HOMES:
+        return
+    if find_spec(_HOMES[kind][-1]) is None:
         raise PublishError(f"publishing to {kind} needs a package: pip install 'ohmskin[{kind}]'")
+    pattern, choices = _PLACES[kind]
+    port = re.search(r":(\d{1,5})$", place)
+    if not re.fullmatch(pattern, place) or (port and int(port[1]) > 65535):
+        raise PublishError(f"{address} is not a place; use {choices}")

@@ -15,7 +15,7 @@ from typing import Any
 
 import zenoh
 
-from ohmskin.client.remote import data_key, domain, is_loopback, is_place, open_session
+from ohmskin.client.remote import data_key, domain, is_loopback, open_session
 from ohmskin.errors import PublishError
 from ohmskin.outlets.topics import Topic, dds_name
 
@@ -101,11 +101,7 @@ def _opened(place: str, token: str | None) -> tuple[str, Any]:
 
 
 def meeting_place(place: str) -> tuple[bool, str]:
-    """Whether to listen, and where.
-
-    Raises:
-        PublishError: If that is not a place.
-    """
+    """Whether to listen, and where."""
     if not place:
         taken = True
         with socket.socket() as probe:
@@ -113,7 +109,4 @@ def meeting_place(place: str) -> tuple[bool, str]:
             taken = probe.connect_ex(("127.0.0.1", PORT)) == 0
         return not taken, f"tcp/127.0.0.1:{PORT}"
     where = place.removeprefix("listen/")
-    if not is_place(where):
-        places = "zenoh, zenoh:tcp/HOST:PORT or zenoh:listen/tcp/HOST:PORT"
-        raise PublishError(f"zenoh:{place} is not a place; use {places}")
     return where != place, where
