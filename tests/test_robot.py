@@ -378,20 +378,20 @@ def test_command_line_mistakes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "value"),
+    ("option", "value", "says"),
     [
-        ("--strategy", "bite"),
-        ("--strategy", "follow"),
-        *((f"--max-{of}", value) for of in ("force", "reaction") for value in ("nan", "-1", "0")),
+        ("--strategy", "bite", "no reaction strategy 'bite'; choose from yield, "),
+        ("--strategy", "follow", "strategy 'follow' needs newtons"),
+        *((f"--max-{of}", value, f"--max-{of} is ") for of in ("force", "reaction") for value in ("nan", "-1", "0")),
     ],
 )
 def test_limits_and_strategies_that_are_none_are_refused_at_once(
-    option: str, value: str, monkeypatch: pytest.MonkeyPatch
+    option: str, value: str, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: pytest.fail("calibrated"))
     done = ohmskin("robot", option, value)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"ohmskin: {option} {'' if value == 'follow' else 'is '}")
+    assert done.stderr.startswith(f"ohmskin: {says}")
     assert "choose" in done.stderr
 
 

@@ -60,9 +60,9 @@ def strategy_named(name: str, body: Body) -> ReactionStrategy:
         ModelError: If there is none, or it needs newtons and a skin is not calibrated to them.
     """
     if name not in STRATEGIES:
-        raise ModelError(f"--strategy is {name!r}; choose from {', '.join(STRATEGIES)}")
+        raise ModelError(f"no reaction strategy {name!r}; choose from {', '.join(STRATEGIES)}")
     uncalibrated = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
     if STRATEGIES[name].needs_force and uncalibrated:
-        told = f"{name!r} needs newtons, which skin {uncalibrated[0]!r} does not have"
-        raise ModelError(f"--strategy {told}; calibrate it with `ohmskin calibrate`, or choose another strategy")
+        told = f"strategy {name!r} needs newtons, which skin {uncalibrated[0]!r} does not have"
+        raise ModelError(f"{told}; calibrate it with `ohmskin calibrate`, or choose another strategy")
     return STRATEGIES[name]
