@@ -250,6 +250,24 @@ def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None
             assert x + w <= 460
 
 
+def test_a_label_has_the_unit_of_what_it_tells(reader: Reader) -> None:
+    script = """
+        const { drawContacts } = await import("/static/contacts.js");
+        const { Frame } = await import("/static/frame.js");
+        const { INK } = await import("/static/ink.js");
+        const c = document.createElement("canvas").getContext("2d");
+        const frame = new Frame({ kind: "rectangle", width: 0.2, height: 0.2 }, 460, 476);
+        const told = [];
+        c.fillText = (text) => told.push(text);
+        const contacts = [{ id: 1, x: 0.1, y: 0.1, extent: 3e-4, strength: 2e-4, confidence: 1%s }];
+        drawContacts(c, frame, 460, 460, { contacts }, [], INK.dark);
+        return told;
+    """
+    sigma = "\N{GREEK SMALL LETTER SIGMA}"
+    assert f"strength 2.00 Δ{sigma}/{sigma}·cm²" in run(reader.page, script % "")
+    assert "5.0 ±0.4 N" in run(reader.page, script % ", force: 5, force_std: 0.4")
+
+
 def test_labels_stay_off_the_colour_of_contacts_and_where_they_are(reader: Reader) -> None:
     script = """
         const { drawContacts } = await import("/static/contacts.js");

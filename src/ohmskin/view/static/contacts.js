@@ -121,7 +121,7 @@ function drawLabel(c, contact, circle, place, taken, width, ink) {
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
   const doubt = unsure(contact);
-  const effect = force(contact) ? `${force(contact)} N` : `strength ${number(1e4 * contact.strength, 2)}`;
+  const effect = force(contact) ? `${force(contact)} N` : `strength ${number(1e4 * contact.strength, 2)} Δσ/σ·cm²`;
   const below = doubt ? `${effect} · ` : effect;
   c.font = `600 11px ${FONT}`;
   const lead = c.measureText(id).width + 6;
