@@ -705,6 +705,17 @@ def test_a_timeout_must_be_positive(server: DeviceServer) -> None:
         device.scan(RIM, timeout=0)
 
 
+def test_a_skin_is_served_at_an_ipv6_address(skin: FakeSkin) -> None:
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            pass
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    with DeviceServer(skin, host="::1", port=0) as server, connect(server.url) as device:
+        assert server.url.startswith("tcp://[::1]:")
+        device.scan(RIM)
+
+
 def test_a_port_in_use_is_told(server: DeviceServer, skin: FakeSkin) -> None:
     with pytest.raises(DeviceError, match=r"port \d+ on 127.0.0.1 is in use; stop the other server"):
         DeviceServer(skin, port=int(server.url.rpartition(":")[2]))

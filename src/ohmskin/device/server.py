@@ -12,7 +12,7 @@ from ohmskin.closing import Closing
 from ohmskin.device.instrument import Instrument, SharedInstrument
 from ohmskin.device.session import Session
 from ohmskin.device.terminal import PseudoTerminal
-from ohmskin.device.transport import SocketTransport, Transport
+from ohmskin.device.transport import SocketTransport, Transport, place_of
 from ohmskin.errors import DeviceError, DeviceLost
 
 _LOG = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ class DeviceServer(Closing):
         self._terminal = PseudoTerminal() if pty else None
         self._stop = threading.Event()
         self._threads: set[threading.Thread] = set()
-        self.url = f"tcp://{host}:{self._listener.getsockname()[1]}"
+        self.url = f"tcp://{place_of(host, self._listener.getsockname()[1])}"
 
     @property
     def pty_path(self) -> str | None:
@@ -76,7 +76,7 @@ class DeviceServer(Closing):
         while not self._stop.is_set():
             try:
                 connected, (host, port, *_) = self._listener.accept()
-                line = SocketTransport(connected, f"tcp://{host}:{port}")
+                line = SocketTransport(connected, f"tcp://{place_of(host, port)}")
             except TimeoutError:
                 continue
             except OSError as error:  # too many open files, or a host that was gone before it was greeted
@@ -115,10 +115,11 @@ def listen(host: str, port: int) -> socket.socket:
     """
     if not 0 <= port <= 65535:
         raise DeviceError(f"port {port}; it must be 1..65535, or 0 for any free one")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, port))  # on Unix it reuses the address of a server just closed
+        return socket.create_server((host, port), family=family)  # on Unix it reuses the address of one just closed
     except OSError as error:
-        why = f"cannot listen on {host}:{port}: {error}; use 127.0.0.1, or 0.0.0.0 for all"
+        why = f"cannot listen on {place_of(host, port)}: {error}; use 127.0.0.1, or 0.0.0.0 for all"
         if error.errno == errno.EADDRINUSE:
             why = f"port {port} on {host} is in use; stop the other server, or choose another port"
         raise DeviceError(why) from error

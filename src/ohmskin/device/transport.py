@@ -75,6 +75,11 @@ def open_transport(url: str) -> Transport:
     return SerialTransport(port_name, int(baud))
 
 
+def place_of(host: str, port: int) -> str:
+    """``HOST:PORT`` as addresses have it, with brackets round an IPv6 address."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 class SocketTransport:
     """A connected TCP socket, at either end.
 
@@ -98,7 +103,7 @@ class SocketTransport:
         Raises:
             DeviceLost: If nothing accepts the connection within 3 s.
         """
-        place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"  # IPv6 or not
+        place = place_of(host, port)
         try:
             return cls(socket.create_connection((host, port), _CONNECT_TIMEOUT), f"tcp://{place}")
         except (OSError, UnicodeError) as error:  # the second one at a name that cannot be one, such as "a..b"
