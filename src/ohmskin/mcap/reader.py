@@ -179,7 +179,9 @@ class RecordingReader(Closing):
         self.metadata = {name: record.metadata for name, record in self._file.metadata.items()}
         if "ohmskin" not in self.metadata or not len(self.frames):
             topics = sorted({channel.topic[:60] for channel in self._file.channels.values()})[:12]
-            raise DataError(f"{self.path} holds no frames of ohmskin; its topics are {', '.join(topics) or 'none'}")
+            found = f"{self.path} holds no frames of ohmskin; its topics are {', '.join(topics) or 'none'}"
+            body = "what `ohmskin patches` recorded is replayed by `ohmskin patches BODY.toml --replay FILE`"
+            raise DataError(f"{found}. Frames are recorded by `ohmskin record`; {body}")
         if (version := self.metadata["ohmskin"].get("format", "")) != FORMAT:
             ours = f"this version of ohmskin reads layout {FORMAT!r}: install a newer one"
             raise DataError(f"{self.path} has layout {version[:20]!r}; {ours}")
