@@ -83,17 +83,21 @@ def sensing(
         yield publishers, stack.enter_context(JointStates(body.name)), merger, stack.enter_context(relay)
 
 
+def touched(body: Body, publishers: list[Publisher], cycle: int) -> None:
+    """What patches publish of one cycle: the arm is touched further on in each."""
+    for publisher, placed in zip(publishers, body.patches, strict=True):
+        now = PatchState(placed.patch.name, placed.patch.frame, cycle, time.monotonic(), time.time_ns(), "16P")
+        contacts = [contact(placed, 1, 0.01 * cycle)] if placed.patch.name == "arm" else []
+        publisher.show(np.full(publisher.raster.inside.shape, float(cycle)), cycle, time.time_ns())
+        publisher.repeat(now, contacts)
+
+
 def recorded(body: Body, file: Path, cycles: int = 12, images: float = 50.0) -> None:
     """The arm is touched further and further on while the elbow bends."""
     with sensing(body, file, images) as (publishers, joints, merger, relay):
         for k in range(1, cycles + 1):
             joints.push({"elbow": 0.1 * k})
-            for publisher, placed in zip(publishers, body.patches, strict=True):
-                now = PatchState(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
-                touched = [contact(placed, 1, 0.01 * k)] if placed.patch.name == "arm" else []
-                shape = publisher.raster.inside.shape
-                publisher.show(np.full(shape, float(k)), k, time.time_ns())
-                publisher.repeat(now, touched)
+            touched(body, publishers, k)
             assert merger.step() is not None
             relay.wake()
             time.sleep(0.03)
@@ -106,6 +110,21 @@ def messages(file: Path) -> dict[str, list[tuple[str, bytes]]]:
             assert schema is not None
             found.setdefault(channel.topic, []).append((schema.name, message.data))
     return found
+
+
+def test_links_are_where_the_last_joint_states_have_them(body: Body, tmp_path: Path) -> None:
+    """The links follow some time after the joints: meanwhile contacts are published."""
+    with sensing(body, tmp_path / "a.mcap") as (publishers, joints, merger, relay):
+        for k in range(3):
+            touched(body, publishers, k + 1)
+            assert merger.step() is not None
+            if k < 2:
+                joints.push({"elbow": 0.5 * k})
+            relay.wake()
+            time.sleep(0.1)
+    kind, data = messages(tmp_path / "a.mcap")["/ohmskin/torso/tf"][-1]
+    turn = STORE.deserialize_cdr(data, kind).transforms[0].transform.rotation
+    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(0.5)
 
 
 def test_a_recording_has_the_topics_of_ros_2_as_other_readers_read_them(body: Body, tmp_path: Path) -> None:

@@ -75,6 +75,7 @@ class Relay:
             self._stack = stack.pop_all()
         self._unmarked: Contacts | None = None  # the newest contacts, until markers show them
         self._marked, self._shown = False, -math.inf
+        self._stood, self._posed = 0, self._poses.newest()
 
     def poll(self, picture_every: float) -> None:
         """Publish what is new: contacts at once, markers and images as often as that."""
@@ -93,15 +94,15 @@ class Relay:
         self._stack.close()
 
     def _send_posture(self) -> None:
-        """How the joints stand and where the links are, if that is new."""
-        if not self._root or (record := self._states.newest()) is None:
-            return
+        """How the joints stand, and where the links are by them, if that is new."""
         with suppress(ValueError, KeyError, TypeError, AttributeError):  # whoever writes that board may err
-            told = json.loads(record)
-            stamp = time.time_ns() - round((time.monotonic() - float(told["time"])) * 1e9)
-            self._send(self._joints, stamp, encode_joints(told["positions"], stamp))
-            if poses := self._poses.newest():
-                self._send(self._transforms, stamp, encode_transforms(self._root, poses, stamp))
+            if self._root and (record := self._states.newest()) is not None:
+                told = json.loads(record)
+                self._stood = time.time_ns() - round((time.monotonic() - float(told["time"])) * 1e9)
+                self._send(self._joints, self._stood, encode_joints(told["positions"], self._stood))
+            if self._root and (poses := self._poses.newest()) is not self._posed:  # some time after the joints
+                self._posed = poses
+                self._send(self._transforms, self._stood, encode_transforms(self._root, poses, self._stood))
 
     def _send_pictures(self) -> None:
         """Health, markers and images, those that are new."""
