@@ -217,13 +217,17 @@ def test_places_off_an_outline_or_in_its_hole_move_to_the_closest_rim(reader: Re
         assert one == pytest.approx(other)
 
 
-def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None:
-    script = """
+CANVAS = """
         const { drawContacts } = await import("/static/contacts.js");
         const { Frame } = await import("/static/frame.js");
         const { INK } = await import("/static/ink.js");
         const c = document.createElement("canvas").getContext("2d");
         const frame = new Frame({ kind: "rectangle", width: 0.2, height: 0.2 }, 460, 476);
+"""  # on which contacts are drawn
+
+
+def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None:
+    script = """
         const electrodes = [0.067, 0.133].flatMap(
             (x) => [0.067, 0.133].map((y) => [frame.x(x) - 9, frame.y(y) - 9, 18, 18]),
         );
@@ -238,7 +242,7 @@ def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None
         [[0.1, 0.1], [0.1, 0.125], [0.075, 0.1]],
         [[0.19, 0.19]],
     ):
-        boxes = np.array(run(reader.page, script % places))
+        boxes = np.array(run(reader.page, CANVAS + script % places))
         assert len(boxes) == 4 + 2 * len(places)  # electrodes, contacts, labels
         labels = boxes[-len(places) :]
         for k, (x, y, w, h) in enumerate(labels):
@@ -252,11 +256,6 @@ def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None
 
 def test_a_label_has_the_unit_of_what_it_tells(reader: Reader) -> None:
     script = """
-        const { drawContacts } = await import("/static/contacts.js");
-        const { Frame } = await import("/static/frame.js");
-        const { INK } = await import("/static/ink.js");
-        const c = document.createElement("canvas").getContext("2d");
-        const frame = new Frame({ kind: "rectangle", width: 0.2, height: 0.2 }, 460, 476);
         const told = [];
         c.fillText = (text) => told.push(text);
         const contacts = [{ id: 1, x: 0.1, y: 0.1, extent: 3e-4, strength: 2e-4, confidence: 1%s }];
@@ -264,8 +263,8 @@ def test_a_label_has_the_unit_of_what_it_tells(reader: Reader) -> None:
         return told;
     """
     sigma = "\N{GREEK SMALL LETTER SIGMA}"
-    assert f"strength 2.00 Δ{sigma}/{sigma}·cm²" in run(reader.page, script % "")
-    assert "5.0 ±0.4 N" in run(reader.page, script % ", force: 5, force_std: 0.4")
+    assert f"strength 2.00 Δ{sigma}/{sigma}·cm²" in run(reader.page, CANVAS + script % "")
+    assert "5.0 ±0.4 N" in run(reader.page, CANVAS + script % ", force: 5, force_std: 0.4")
 
 
 def test_labels_stay_off_the_colour_of_contacts_and_where_they_are(reader: Reader) -> None:
