@@ -570,3 +570,18 @@ def test_a_step_of_the_gain_is_told_where_images_do_not_follow_it(engine: Engine
     device_of(engine).spoil = lambda frame: replace(frame, voltages=1.2 * frame.voltages)
     run(engine, 40)
     assert "all voltages have changed by +20 % together" in engine.message
+
+
+def test_three_wires_that_changed_places_are_told_as_two_exchanges(engine: Engine) -> None:
+    run(engine, 10)
+    device, order = device_of(engine), np.arange(16)
+    order[[1, 4, 7]] = 4, 7, 1
+
+    def rotated(frame: Frame) -> Frame:
+        pattern = frame.pattern
+        ends = np.column_stack([pattern.measurements[:, 0], order[pattern.measurements[:, 1:]]])
+        return replace(device.virtual.scan(DrivePattern(order[pattern.injections], ends)), pattern=pattern)
+
+    device.spoil = rotated
+    told = {finding.words for touch in run(engine, 20) for finding in touch.percept.findings}
+    assert any(re.match("the wires of electrodes [147] and [147], and of [147] and [147] are", words) for words in told)

@@ -22,7 +22,7 @@ _SURE = 10.0  # squared size of data over their noise, from which on they show a
 _UNEXPLAINED = 0.01  # share of the data that such a fault leaves at most
 _STILL = 0.3  # the same of one that was found before: a touch beside it changes little
 _BRIDGED = 0.5  # share of a short's effect that a bridge has at least; presses resemble weaker ones
-_LARGE = 0.02  # share of the quiet skin's power by which voltages change where two exchanges are tried; presses: less
+_LARGE = 0.02  # share of the quiet skin's power by which voltages change where two exchanges are tried; few presses
 _FIRSTS = 8  # likeliest exchanges beside which a second one is tried
 _MOST = 32  # electrodes, beyond which there are too many pairs to try
 
@@ -122,4 +122,4 @@ def _likeliest(kind: str, wires: Ints, changes: Floats, data: Information) -> tu
     sizes = np.clip(shown / np.maximum(powers, 1e-300), 1.0 if kind == "exchanged" else _BRIDGED, 1.0)
     costs = sizes * (sizes * powers - 2 * shown)
     one = int(np.argmin(costs))
-    return WireFault(Cause(kind, tuple(dict.fromkeys(wires[one].tolist()))), sizes[one] * changes[one]), costs
+    return WireFault(Cause(kind, tuple(wires[one].tolist())), sizes[one] * changes[one]), costs
