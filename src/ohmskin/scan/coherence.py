@@ -115,7 +115,7 @@ class NetworkData:
     def without(self, electrodes: Iterable[int]) -> Bools:
         """Which measurements (n_meas,) involve none of these electrodes."""
         out = list(electrodes)
-        return np.asarray(~np.isin(self.quadruples, out).any(axis=1)) if out else np.ones(len(self.quadruples), bool)
+        return np.asarray(~(self.quadruples[..., None] == np.array(out, int)).any(axis=(1, 2)))
 
     def uses(self, electrode: int) -> Bools:
         """Whether each measurement (n_meas,) involves an electrode, driven or measured."""

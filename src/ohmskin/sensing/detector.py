@@ -33,6 +33,7 @@ _COMMON = 0.04  # change of all voltages together, above which it is reported,
 _ALIKE = 0.95  # if it is that share of the signal; presses beside none are a quarter of it at most
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
 _NOISY = 1.3  # times the quiet skin's noise, above which it is reported
+_AGAIN = 0.1  # s after which a fault of wires is looked for again beside bad electrodes
 _JUMPED = 4.0  # times the power of changes that no fault of wires explained, from which on one is looked for again
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND, _SURELY = 5, 0.2, 50  # frames and s for which an electrode must agree to be used again; enough
@@ -83,8 +84,9 @@ class FaultDetector:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
         """
         power = self._wires.power(scans)
-        tried = power and (before.bad or power > _JUMPED * before.without_fault)
-        wires = self._wires.found(scans, before.wires) if tried else None
+        again = int((before.time + elapsed) / _AGAIN) > int(before.time / _AGAIN)
+        tried = power and (before.miswired or (before.bad and again) or power > _JUMPED * before.without_fault)
+        wires = self._wires.found(scans, before.wires, thorough=not before.bad) if tried else None
         scans = scans if wires is None else [wires.repaired(scan, self._known.pairs) for scan in scans]
         now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)

@@ -135,6 +135,11 @@ class Diagnosis:
         return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < self.recent}
 
     @property
+    def miswired(self) -> bool:
+        """Whether wires have been exchanged, or touched each other, recently."""
+        return any(cause.kind in ("exchanged", "shorted") for cause in self.recent_causes)
+
+    @property
     def troubled(self) -> bool:
         """Whether there was any fault recently."""
         return bool(self.findings or self.bad or self.recent_causes)

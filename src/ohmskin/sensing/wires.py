@@ -22,6 +22,7 @@ _SURE = 10.0  # squared size of data over their noise, from which on they show a
 _UNEXPLAINED = 0.01  # share of the data that such a fault leaves at most
 _STILL = 0.3  # the same of one that was found before: a touch beside it changes little
 _BRIDGED = 0.5  # share of a short's effect that a bridge has at least; presses resemble weaker ones
+_LESS = 0.1  # times what one exchange leaves is what two leave at most
 _LARGE = 0.02  # share of the quiet skin's power by which voltages change where two exchanges are tried; few presses
 _FIRSTS = 8  # likeliest exchanges beside which a second one is tried
 _MOST = 32  # electrodes, beyond which there are too many pairs to try
@@ -82,12 +83,15 @@ class WireFaults:
         power = sum(float(own @ own) for own in volts) / max(count, 1)
         return power if power > _SURE * self._errors.noise**2 else 0.0
 
-    def found(self, scans: Sequence[Difference], before: WireFault | None = None) -> WireFault | None:
+    def found(
+        self, scans: Sequence[Difference], before: WireFault | None = None, thorough: bool = False
+    ) -> WireFault | None:
         """The fault that explains scans; None if none does.
 
         Args:
             scans: What has changed, with `power`.
             before: The fault found in the last frame: beside it, something may touch the skin.
+            thorough: Whether any two exchanges are tried if no contacts could change as much, a hundred times as long.
         """
         data = Information.of(self._pairs, self._errors, [scan for scan in scans if scan.known])[0]
         if before is not None and _explains(before, data, _UNEXPLAINED):  # few injections may not show all of it
@@ -95,9 +99,14 @@ class WireFaults:
         exchanged, costs = _likeliest("exchanged", self._pairs.ends, self.exchanges, data)
         shorted, more = _likeliest("shorted", self._pairs.ends, self.shorts, data)
         fault = shorted if more.min() < costs.min() else exchanged
-        quiet = data.misfit.norms(self.resistances[:, None])[0] ** 2
-        if not _explains(fault, data, _UNEXPLAINED) and data.signals(fault.change)[0] > _LARGE * quiet:
-            fault = self._two_exchanges(np.argsort(costs)[:_FIRSTS], data)
+        signal, quiet = data.signals(fault.change)[0], data.misfit.norms(self.resistances[:, None])[0] ** 2
+        firsts = len(costs) if thorough and signal > quiet else _FIRSTS if signal > _LARGE * quiet else 0
+        for start in range(0, firsts, _FIRSTS):
+            left = data.signals(fault.change)[1]
+            if left < _SURE * data.count or (start and _explains(fault, data, _UNEXPLAINED)):
+                break
+            two = self._two_exchanges(np.argsort(costs)[start:][:_FIRSTS], data)
+            fault = two if data.signals(two.change)[1] < _LESS * left else fault
         if _explains(fault, data, _UNEXPLAINED):
             return fault
         return before if before is not None and _explains(before, data, _STILL) else None
