@@ -150,7 +150,8 @@ def said(readings: Callable[[int], float | None], *forces: float, rest: float = 
     """What a loop says over so many frames with contacts of these forces, a tenth of a second apart."""
     told = list[str]()
     notices, quiet = Notices(told.append), rest + np.random.default_rng(0).normal(0, 2, 40)
-    percept: Any = SimpleNamespace(contacts=tuple(contact(force, 0.2) for force in forces))
+    alone = tuple(contact(force, 0.2 * force) for force in forces)
+    percept: Any = SimpleNamespace(contacts=tuple(contact(0.0) for _ in forces), without_total=alone)
     for number in range(count):
         percept.frames = [replace(frame(readings(number)), time=0.1 * number)]
         notices.auxiliary(Known(AIR, *quiet), percept)  # type: ignore[arg-type]
@@ -165,7 +166,10 @@ def test_a_channel_that_is_silent_stuck_or_unlike_the_contacts_is_told_once() ->
         (lambda k: 300 + noise[k], (5.0,), np.nan, "read nothing at rest and is not used"),
         (lambda _: 100.0, (0.0,), 100.0, "has stuck at 100 Pa, and forces are without it"),
         (lambda k: -100 + noise[k], (0.0,), 100.0, r"shows -\S+ N, and forces are without it; its sign"),
-        (lambda k: 20100 + noise[k], (5.0,), 100.0, r"shows \S+ N, the contacts 5 N; check the unit"),
+        (lambda k: 20100 + noise[k], (5.0,), 100.0, r"shows \S+ N, the contacts 5 N, and forces are without it; check"),
+        (lambda k: 100 + noise[k], (5.0,), 100.0, "the contacts 5 N, and forces are without it; check its wire"),
+        (lambda k: 100 + 60 + noise[k], (2.0, 3.0), 100.0, r"shows 1\.\d+ N, the contacts 5 N"),
+        (lambda k: 100 + 600 + noise[k], (5.0,), 100.0, r"shows 1\d(\.\d)? N, the contacts 5 N"),
     ):
         (told,) = said(readings, *forces, rest=rest)
         assert re.search(words, told)
@@ -214,17 +218,31 @@ def felt(engine: Engine, *presses: Press) -> list[float]:
     return found
 
 
-def test_a_channel_that_has_stuck_is_told_and_forces_go_on_without_it() -> None:
+@pytest.mark.parametrize(
+    ("share", "noise", "words"),
+    [
+        (0.0, 0.0, "has stuck"),
+        (0.0, 2.0, "the contacts"),  # dead, with the noise of its amplifier
+        (0.3, 0.0, "the contacts"),
+        (3.0, 0.0, "the contacts"),
+    ],
+)
+def test_a_channel_that_has_stuck_is_dead_or_has_a_wrong_gain_is_told_and_forces_go_on_without_it(
+    share: float, noise: float, words: str
+) -> None:
+    random = np.random.default_rng(7)
     with Engine(lambda: DirectDevice(VirtualSkin(AIR, 5)), replace(AIR, calibration=LAYER)) as engine:
         engine.calibrate()
         at_rest = engine.known.quiet.rest  # type: ignore[union-attr]
         press = Press((0.1, 0.1), 8e-3, 20e3)
         engine.press(0, press.position, press.radius, press.pressure)
-        engine.device.spoil = lambda frame: replace(frame, auxiliary=at_rest)  # type: ignore[attr-defined]
+        engine.device.spoil = lambda frame: replace(  # type: ignore[attr-defined]
+            frame, auxiliary=at_rest + share * (frame.auxiliary - at_rest) + random.normal(0, noise)
+        )
         began = time.monotonic()
         while not engine.message and time.monotonic() < began + 30:
             engine.step()
-        assert "has stuck" in engine.message
+        assert words in engine.message
         (found,) = next(engine.touches()).contacts
     assert found.force == pytest.approx(press.force(FOAM), rel=0.3)
 
@@ -242,6 +260,7 @@ def test_single_contacts_are_within_a_tenth(engine: Engine) -> None:
     random = np.random.default_rng(12)
     single = [felt(engine, one)[0] / one.force(FOAM) - 1 for one in (some_press(random) for _ in range(6))]
     assert np.median(np.abs(single)) < 0.1
+    assert engine.message == ""
 
 
 def test_each_of_three_is_within_a_fifth_in_the_median(engine: Engine) -> None:
@@ -257,6 +276,7 @@ def test_each_of_three_is_within_a_fifth_in_the_median(engine: Engine) -> None:
             errors += [told / one.force(FOAM) - 1 for told, one in zip(felt(engine, *some), some, strict=True)]
     assert np.nanmedian(np.abs(errors)) < 0.2
     assert np.isfinite(errors).mean() > 0.9
+    assert engine.message == ""
 
 
 def test_a_skin_file_keeps_it(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import isfinite, sqrt
+from math import hypot, isfinite, sqrt
 
 from ohmskin.sensing import Percept, SkinModel
 from ohmskin.sensing.total import TotalForce
@@ -10,7 +10,7 @@ from ohmskin.sensing.total import TotalForce
 _FRAMES, _SECONDS = 10, 1.0  # for which something must be so
 _SAME = 20  # frames with one reading, of a channel whose noise seldom repeats one
 _SURE = 5.0  # standard deviations of the total
-_APART = 0.5  # share of the total by which contacts are unlike it
+_APART = 0.5  # share of the total by which contacts are unlike it; and a factor of two standard deviations of theirs
 _LASTS = ("negative", "apart")  # kinds that only contacts refute
 _CHECK = "check its wire"
 _SILENT = f"the auxiliary channel reads nothing, and forces are without it; {_CHECK}"
@@ -33,7 +33,10 @@ class AuxiliaryCheck:
         """What is doubtful after a frame, in words; empty if nothing is, or there is no such channel."""
         if not known.skin.auxiliary.kind:
             return ""
-        kind, words = self._suspicion(known, percept) or self._told
+        found = self._suspicion(known, percept)
+        if found is None and self._kind == "apart":  # it counts on with the next contact, so that taps tell it, too
+            return self._told[1]
+        kind, words = found or self._told
         now = percept.frames[-1].time
         if kind != self._kind or now < self._since:
             self._kind, self._since, self._frames = kind, now, 0
@@ -57,13 +60,17 @@ class AuxiliaryCheck:
         if total < -_SURE * sqrt(variance):
             why = "its sign or wire is wrong, or it has drifted: measure the quiet skin again"
             return "negative", f"the auxiliary channel shows {total:.3g} N, and forces are without it; {why}"
-        forces = [contact.force for contact in percept.contacts if contact.force is not None]
-        if not forces or len(forces) < len(percept.contacts):
-            return None if self._told[0] in _LASTS else ("", "")
-        if abs(total - sum(forces)) > max(_SURE * sqrt(variance), _APART * total):
-            why = "check the unit and auxiliary.gain, and whether anything else presses"
-            return "apart", f"the auxiliary channel shows {total:.3g} N, the contacts {sum(forces):.3g} N; {why}"
-        return "", ""
+        unknown = None if self._told[0] in _LASTS or self._kind == "apart" else ("", "")
+        forces = [contact.force for contact in percept.without_total if contact.force is not None]
+        if not percept.contacts or not forces or len(forces) < len(percept.without_total):
+            return unknown
+        force, std = sum(forces), hypot(*(contact.force_std or 0.0 for contact in percept.without_total))
+        if abs(total - force) <= max(_SURE * sqrt(variance), _APART * total):
+            return "", ""
+        if max(total, force) * force**2 < (force + std) ** 2 * min(total, force):
+            return unknown
+        why = f"forces are without it; {_CHECK}, the unit and auxiliary.gain, and whether anything else presses"
+        return "apart", f"the auxiliary channel shows {total:.3g} N, the contacts {force:.3g} N, and {why}"
 
 
 def _seldom_repeats(readings: Sequence[float]) -> bool:

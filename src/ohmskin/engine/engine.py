@@ -145,8 +145,8 @@ class Engine(Closing):
             if due := self._sensors.due():
                 self.set_mode(due)
                 self._notices.awaited("", f"{self.mode.label} from here on")
-            self.sensor.total.trusted = self._notices.total_trusted
-            self._sensed, percept = self.sensor.step(self._sensed, self._scan)
+            before = replace(self._sensed, uses_total=self._notices.total_trusted)
+            self._sensed, percept = self.sensor.step(before, self._scan)
         except LINK_ERRORS as error:  # a new connection may help
             self._lose(error)
             return None

@@ -57,6 +57,7 @@ class Percept:
         base_estimate: The estimate after the base scan, with its image; None where a frame has one scan.
         diagnosis: Detected faults of the instrument.
         lifted: Touches of the calibration that have been lifted, once they are sure; `corrected` takes them off.
+        without_total: The contacts with forces by the electrodes alone, not brought to the auxiliary channel's total.
     """
 
     frames: tuple[Frame, ...]
@@ -64,6 +65,7 @@ class Percept:
     base_estimate: Estimate | None = field(default=None, repr=False)
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
     lifted: Lifted | None = field(default=None, repr=False)
+    without_total: tuple[Contact, ...] = field(default=(), repr=False)
 
     @property
     def image(self) -> Image:
@@ -104,6 +106,7 @@ class SensorState:
         presses: State of the presses fitted to contacts.
         located: The contacts last searched in a base scan.
         suspicion: Of touches that were there during calibration, and have been lifted.
+        uses_total: Whether forces are brought to the auxiliary channel's total; not while that is known to be faulty.
     """
 
     belief: Belief
@@ -114,6 +117,7 @@ class SensorState:
     presses: Presses = field(default=Presses(), repr=False)
     located: Solution | None = field(default=None, repr=False)
     suspicion: Suspicion = field(default=Suspicion(), repr=False)
+    uses_total: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,17 +243,17 @@ class Sensor:
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self._chart)
         if self.forces is not None and any(scan.known for scan in scans):
-            presses, contacts = self.forces.update(
-                presses, contacts, belief.without_drift(scans, self.known.pairs), elapsed
-            )
-        contacts = self.total(contacts, measured.frames)
+            undrifted = belief.without_drift(scans, self.known.pairs)
+            presses, contacts = self.forces.update(presses, contacts, undrifted, elapsed)
+        alone, contacts = contacts, self.total(contacts, measured.frames) if state.uses_total else contacts
         turn = state.turn + len(measured.frames)
         recent = recent if self.window else ()
-        after = SensorState(belief, turn, recent, now, diagnosis, presses, measured.located, suspicion)
+        known = turn, recent, now, diagnosis, presses, measured.located, suspicion, state.uses_total
+        after = SensorState(belief, *known)
         believed = changed(belief, contacts=diagnosis.doubted(contacts, state.belief.contacts))
         reported = placed(self._placement, believed, scans, self.known.pairs)
         lifted = suspicion.lifted and self._remeasured(suspicion.lifted, diagnosis, scan)
-        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted)
+        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted, alone)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""

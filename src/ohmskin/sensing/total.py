@@ -20,14 +20,11 @@ class TotalForce:
 
     Args:
         known: What is known of the skin; its quiet frames have what the channel reads at rest.
-
-    Attributes:
-        trusted: Whether forces are brought to the total; false while the channel is known to be faulty.
     """
 
     def __init__(self, known: SkinModel) -> None:
         self._channel = known.skin.calibrated_auxiliary
-        self._present, self._rest, self.trusted = bool(self._channel.kind), known.quiet.rest, True
+        self._present, self._rest = bool(self._channel.kind), known.quiet.rest
         self._rest_variance = self._channel.noise**2 / max(len(known.quiet.auxiliary), 1)
 
     def total(self, frames: Sequence[Frame]) -> tuple[float, float]:
@@ -44,7 +41,7 @@ class TotalForce:
         cannot have is of something that is no contact yet, or beside the skin: then they stay as they are. So they do
         where it is not known, or surely negative.
         """
-        if not (self._present and self.trusted and contacts):
+        if not (self._present and contacts):
             return contacts
         total, variance = self.total(frames)
         if not total >= -_APART * sqrt(variance):  # or it is NaN
