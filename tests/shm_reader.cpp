@@ -37,6 +37,7 @@ static void print(const ohmskin::Client& client, const ohmskin::Contacts& newest
     for (const ohmskin::PatchState& seen : newest.patches) {
         std::printf("\nseen"), put(seen.patch), put(seen.frame), put(seen.mode.data()), put(seen.time);
         std::printf("\t%llu\t%lld", (unsigned long long)seen.sequence, (long long)seen.stamp);
+        put(seen.total_force);
     }
     for (const ohmskin::PlacedContact& c : newest.contacts) {
         std::printf("\ncontact"), put(c.patch), put(c.frame), put(c.id), put(c.position), put(c.normal);

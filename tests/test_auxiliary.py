@@ -103,6 +103,13 @@ def fused(contacts: tuple[Contact, ...], newtons: float, skin: Skin = AIR) -> tu
     return TotalForce(Known(skin, 100.0, 100.0))(contacts, [frame(100.0 + 40.0 * newtons)])  # type: ignore[arg-type]
 
 
+def test_the_total_is_in_newtons_and_none_where_nothing_measures_it() -> None:
+    channel, none = (TotalForce(Known(skin, 100.0, 100.0)) for skin in (AIR, PAPER))  # type: ignore[arg-type]
+    assert channel.known_total([frame(100.0 + 40.0 * 7), frame(100.0 + 40.0 * 8)]) == pytest.approx(7.5)
+    assert channel.known_total([frame(None)]) is None
+    assert none.known_total([frame(100.0)]) is None
+
+
 def test_the_less_sure_force_changes_more_and_all_add_up() -> None:
     sure, unsure = fused((contact(5.0, 0.2), contact(5.0, 2.0)), 12.0)
     assert sure.force is not None
@@ -243,7 +250,9 @@ def test_a_channel_that_has_stuck_is_dead_or_has_a_wrong_gain_is_told_and_forces
         while not engine.message and time.monotonic() < began + 30:
             engine.step()
         assert words in engine.message
-        (found,) = next(engine.touches()).contacts
+        touch = next(engine.touches())
+        assert touch.percept.total_force is None
+        (found,) = touch.contacts
     assert found.force == pytest.approx(press.force(FOAM), rel=0.3)
 
 

@@ -269,6 +269,7 @@ SIGHTINGS = st.tuples(
             FLOATS,
             st.integers(0, 2**62),
             st.sampled_from(["16O", ""]),
+            st.none() | FLOATS,
         )
         for p in PATCHES
     )

@@ -17,7 +17,7 @@ from test_client import FLOOD, PATCHES, half_written, until
 from ohmskin.client import Board, Contacts, Patch, PatchState, PlacedContact
 from ohmskin.client.board import board_path
 from ohmskin.client.contacts import LARGEST, merged, pack
-from ohmskin.client.fields import numbers
+from ohmskin.client.fields import as_number, numbers
 
 ROOT = Path(__file__).parents[1]
 TURNED = ((1.0, 0.1, 0.2), (0.1, 2.0, 0.3), (0.2, 0.3, 3.0))
@@ -93,7 +93,8 @@ def board(patches: tuple[Patch, ...] = SKIN) -> Board:
 def touch(sequence: int, *contacts: PlacedContact, ago: float = 0.0) -> Contacts:
     now, stamp = time.monotonic() - ago, time.time_ns()
     seen = [
-        PatchState(p.name, p.frame, sequence, now, stamp, mode) for p, mode in zip(SKIN, ("16O", "a" * 16), strict=True)
+        PatchState(p.name, p.frame, sequence, now, stamp, *told)
+        for p, told in zip(SKIN, (("16O", 7.5), ("a" * 16, None)), strict=True)
     ]
     return merged(sequence, seen, contacts)
 
@@ -117,7 +118,8 @@ def test_every_value_that_python_wrote_is_read(reader: Path) -> None:
                     assert [float.fromhex(v) for v in row[2:]] == values
                 for seen, row in zip(what.patches, told["seen"], strict=True):
                     assert row[:3] == [seen.patch, seen.frame, seen.mode]
-                    assert (float.fromhex(row[3]), *map(int, row[4:])) == (seen.time, seen.sequence, seen.stamp)
+                    assert (float.fromhex(row[3]), *map(int, row[4:6])) == (seen.time, seen.sequence, seen.stamp)
+                    assert float.fromhex(row[6]) == pytest.approx(as_number(seen.total_force), rel=0, nan_ok=True)
                 assert len(told["contact"]) == len(contacts)
                 for contact, row in zip(contacts, told["contact"], strict=True):
                     assert row[:2] == [contact.patch, contact.frame]

@@ -312,9 +312,10 @@ def test_a_press_beyond_the_model_is_felt_without_a_force(engine: Engine, monkey
 def test_the_same_force_is_told_everywhere(
     engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Client, topic, wrench, page, JSON, terminal, recording and export."""
+    """Client, topic, wrench, page, JSON, terminal, recording and export; the total of a load cell likewise."""
     monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
     touch = pressed(engine, Press((0.09, 0.11), 8e-3, 15e3))[-1]
+    touch = replace(touch, percept=replace(touch.percept, total_force=3.5))
     (contact,) = touch.contacts
     told = contact.force, contact.force_std, contact.pressure, contact.area
     assert None not in told
@@ -322,6 +323,7 @@ def test_the_same_force_is_told_everywhere(
         publisher.publish(touch)
         felt = client.newest()
     assert felt is not None
+    assert felt.patches[0].total_force == 3.5
     heard = {"client": felt.contacts[0], "topic": decode_contacts(encode_contacts(felt), 0.0).contacts[0]}
     with Recorder(tmp_path / "a.mcap", engine.skin) as recorder:
         recorder.tee(engine.device)
@@ -339,7 +341,9 @@ def test_the_same_force_is_told_everywhere(
     lines = _Lines(calibrates=True)
     lines.engine = engine
     lines(touch)
-    (printed,) = json.loads(capsys.readouterr().out)["contacts"]
+    line = json.loads(capsys.readouterr().out)
+    assert line["total_force"] == 3.5
+    (printed,) = line["contacts"]
     for name, shown in {"JSON": printed, "page": shown_contact(contact, 1.0)}.items():
         assert tuple(shown[field] for field in ("force", "force_std", "pressure", "area")) == told, name
     _Table()(touch)

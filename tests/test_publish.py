@@ -59,7 +59,7 @@ ON_SHEET = SheetContact(
     (0.05, 0.12), 2e-4, 3e-4, 0.97, 0.4, 7, ((2.25e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3, 5.0, 0.4, 2e4, 2.5e-4
 )
 CONTACT = PATCH.contact(ON_SHEET)
-SIGHTING = PatchState("arm", "forearm_link", 41, 12.5, STAMP, "16O")
+SIGHTING = PatchState("arm", "forearm_link", 41, 12.5, STAMP, "16O", 7.5)
 
 
 @pytest.fixture(autouse=True)
@@ -111,6 +111,7 @@ def test_contacts_are_read_field_by_field(store: Any) -> None:
     (patch,) = message.patches
     assert (patch.name, patch.frame_id, patch.sequence, patch.mode) == ("arm", "forearm_link", 41, "16O")
     assert (patch.stamp.sec, patch.stamp.nanosec) == divmod(STAMP, 10**9)
+    assert message.total_force.tolist() == [7.5]
     (c,) = message.contacts
     assert (c.patch, c.id) == (0, 7)
     assert (c.position.x, c.position.y, c.position.z) == CONTACT.position
@@ -228,6 +229,13 @@ def test_the_client_listens_where_contacts_are_sent() -> None:
     assert (topic.dds_type, topic.hash) == (CONTACTS_TYPE, CONTACTS_HASH)
 
 
+def test_contacts_recorded_before_there_were_total_forces_are_read() -> None:
+    message = encode_contacts(merged(3, [SIGHTING], [CONTACT]))
+    before = decode_contacts(message[:-16], offset=0.0)  # their count, padding, and the one number, less
+    assert before.contacts == (CONTACT,)
+    assert before.patches[0].total_force is None
+
+
 def test_contacts_come_back_as_they_went() -> None:
     silent = PatchState("hand", "palm_link")
     what = replace(
@@ -237,6 +245,7 @@ def test_contacts_come_back_as_they_went() -> None:
     assert back.contacts == what.contacts
     assert (back.boot, back.sequence, back.stamp, back.age) == (77, 3, 0, math.inf)
     assert back.patches[1] == silent
+    assert back.patches[0].total_force == 7.5
     assert back.patches[0].time == pytest.approx(12.5, abs=1e-3)  # a double of seconds since 1970 has no more
 
 

@@ -193,7 +193,8 @@ class _Lines:
         findings = [finding.words for finding in touch.percept.findings]
         line = {"sequence": touch.sequence, "time": touch.time, "mode": touch.mode.name, "contacts": contacts}
         gesture = None if touch.gesture is None else touch.gesture.as_json()
-        self._print(line | {"gesture": gesture, "findings": findings} | touch.health.figures)
+        felt = {"total_force": touch.percept.total_force, "gesture": gesture, "findings": findings}
+        self._print(line | felt | touch.health.figures)
 
     def _print(self, line: dict[str, Any]) -> None:
         assert self.engine is not None

@@ -91,6 +91,11 @@ class CdrDecoder:
             raise DataError(f"a message says it has {count} entries, which do not fit into its {len(self._data)} bytes")
         return count
 
+    @property
+    def ended(self) -> bool:
+        """Whether all has been read."""
+        return self._at >= len(self._data)
+
     def _bytes(self, size: int) -> memoryview:
         if self._at + size > len(self._data):
             raise DataError(f"a message of {len(self._data)} bytes ends early: {size} more are due at byte {self._at}")

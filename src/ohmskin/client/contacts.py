@@ -8,14 +8,14 @@ from math import inf, nan, sqrt
 from typing import Any
 
 from ohmskin.client.board import BoardReader
-from ohmskin.client.fields import attributes, components, numbers
+from ohmskin.client.fields import as_number, attributes, components, known, numbers
 from ohmskin.errors import PublishError
 
 MOST_CONTACTS, MOST_PATCHES = 256, 64
 _NAP = 0.0003  # seconds between looks while waiting; a look costs some microseconds
 
 _HEAD = struct.Struct("<QdqII")
-_PATCH = struct.Struct("<Qdq16s")
+_PATCH = struct.Struct("<Qdq16sd")
 _COMPONENTS = components(3)
 _CONTACT = struct.Struct(f"<Ii{len(_COMPONENTS) - 1}d")
 LARGEST = _HEAD.size + MOST_PATCHES * _PATCH.size + MOST_CONTACTS * _CONTACT.size
@@ -180,6 +180,7 @@ class PatchState:
         time: Its last sample on this machine's monotonic clock (s); minus infinity before the first.
         stamp: The same by the calendar (ns since 1970); 0 likewise.
         mode: Name of its mode.
+        total_force: Of all contacts on it, as its auxiliary channel measures it (N); None without a sound one.
     """
 
     patch: str
@@ -188,6 +189,7 @@ class PatchState:
     time: float = -inf
     stamp: int = 0
     mode: str = ""
+    total_force: float | None = None
 
     @property
     def age(self) -> float:
@@ -250,7 +252,9 @@ def pack(given: Contacts, patches: Sequence[Patch]) -> bytes:
     if len(contacts) > MOST_CONTACTS:
         contacts = tuple(sorted(contacts, key=lambda contact: -abs(contact.peak))[:MOST_CONTACTS])
     parts = [_HEAD.pack(given.sequence, given.time, given.stamp, len(given.patches), len(contacts))]
-    parts += [_PATCH.pack(s.sequence, s.time, s.stamp, s.mode.encode()[:16]) for s in given.patches]
+    parts += [
+        _PATCH.pack(s.sequence, s.time, s.stamp, s.mode.encode()[:16], as_number(s.total_force)) for s in given.patches
+    ]
     parts += [_CONTACT.pack(places[c.patch], *numbers(c, 3)) for c in contacts]
     return b"".join(parts)
 
@@ -268,8 +272,10 @@ def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Contacts:
             raise PublishError(f"a record of {len(record)} bytes claims {n_patches} patches and {n_contacts} contacts")
         rows = zip(patches, _PATCH.iter_unpack(record[_HEAD.size : middle]), strict=True)
         states = [
-            PatchState(patch.name, patch.frame, number, seen, when, mode.rstrip(b"\0").decode(errors="replace"))
-            for patch, (number, seen, when, mode) in rows
+            PatchState(
+                patch.name, patch.frame, count, seen, when, mode.rstrip(b"\0").decode(errors="replace"), known(total)
+            )
+            for patch, (count, seen, when, mode, total) in rows
         ]
         contacts = tuple(contact_from(patches[which], own) for which, *own in _CONTACT.iter_unpack(record[middle:]))
     except (struct.error, IndexError) as error:

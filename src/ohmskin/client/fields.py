@@ -104,6 +104,16 @@ def columns() -> tuple[str, ...]:
     )
 
 
+def as_number(value: float | None) -> float:
+    """A number as records have it: NaN where it is not known."""
+    return nan if value is None else value
+
+
+def known(value: float) -> float | None:
+    """What a number of a record says: None where it is not known; the inverse of `as_number`."""
+    return None if isnan(value) else value
+
+
 def numbers(contact: Any, dimensions: int) -> list[float]:
     """All numbers of a contact, in the order of `components`; the first one, the id, is an integer."""
     return [number for field in fields(dimensions) for number in field.numbers(contact, dimensions)]

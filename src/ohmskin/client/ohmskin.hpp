@@ -79,6 +79,7 @@ struct PatchState {
     double time;                // its last sample (s, as now()); minus infinity likewise
     std::int64_t stamp;         // the same by the calendar (ns since 1970); 0 likewise
     std::array<char, 17> mode;  // its mode, ended by 0
+    std::optional<double> total_force;  // of all contacts on it, by its auxiliary channel (N); none without a sound one
     double age() const { return now() - time; }
 };
 
@@ -297,7 +298,7 @@ class Client {
         const char* at = record.data();
         std::uint32_t n[2] = {}, which = 0;  // patches and contacts; the patch of a contact
         if (record.size() >= 32) std::memcpy(n, at + 24, sizeof n);
-        const std::size_t contacts_at = 32 + 40 * std::size_t{n[0]}, contact_bytes = 208;
+        const std::size_t contacts_at = 32 + 48 * std::size_t{n[0]}, contact_bytes = 208;
         bool right = n[0] == patch_lists_.back().size() && record.size() == contacts_at + n[1] * contact_bytes;
         for (std::size_t i = 0; right && i < n[1]; ++i, right = which < n[0])
             std::memcpy(&which, at + contacts_at + i * contact_bytes, sizeof which);
@@ -306,9 +307,10 @@ class Client {
         newest_.time = detail::read<double>(at), newest_.stamp = detail::read<std::int64_t>(at), at += sizeof n;
         newest_.patches.clear(), newest_.contacts.clear();
         for (const Patch& patch : patch_lists_.back()) {
-            PatchState& seen = newest_.patches.emplace_back(PatchState{patch.name, patch.frame, 0, 0, 0, {}});
+            PatchState& seen = newest_.patches.emplace_back(PatchState{patch.name, patch.frame, 0, 0, 0, {}, {}});
             seen.sequence = detail::read<std::uint64_t>(at), seen.time = detail::read<double>(at);
             seen.stamp = detail::read<std::int64_t>(at), std::memcpy(seen.mode.data(), at, 16), at += 16;
+            if (const double total = detail::read<double>(at); !std::isnan(total)) seen.total_force = total;
         }
         for (std::uint32_t i = 0; i < n[1]; ++i) newest_.contacts.push_back(contact(at));
         return true;

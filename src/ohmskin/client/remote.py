@@ -10,17 +10,18 @@ import re
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ohmskin.client.board import check_name
 from ohmskin.client.cdr import CdrDecoder
 from ohmskin.client.contacts import Contacts, Patch, PatchState, contact_from
-from ohmskin.client.fields import components
+from ohmskin.client.fields import components, known
 from ohmskin.errors import DataError, PublishError
 
 CONTACTS_TYPE = "ohmskin_msgs::msg::dds_::Contacts_"
-CONTACTS_HASH = "RIHS01_e6a2af3b67db8358f71d10d5699f89e39ac255fc4d0eff899ebadfb6f9165a46"
+CONTACTS_HASH = "RIHS01_176d6e7acea1c2c576eeb43d025183cc2bbdf548c2dc5674ed8343d25c6385c8"
 _USER = "ohmskin"
 _PLACE = re.compile(r"tcp/(?:\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
 _LARGEST_DOMAIN = 232  # beyond which DDS has no ports
@@ -176,5 +177,8 @@ def decode_contacts(data: bytes, offset: float) -> Contacts:
             raise DataError(f"a contact of patch {place} in a message of {len(patches)} patches")
         patch = patches[int(place)]
         contacts.append(contact_from(Patch(patch.patch, patch.frame), own))
+    if not decoder.ended:  # recordings of 0.1 have no total forces
+        totals = decoder.take("d" * decoder.count(8))
+        patches = [replace(one, total_force=known(own)) for one, own in zip(patches, totals, strict=False)]
     at = stamp * 1e-9 + offset if stamp else float("-inf")
     return Contacts(sequence, at, stamp, tuple(patches), tuple(contacts), boot)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import CdrEncoder
 from ohmskin.client.contacts import Contacts, PlacedContact, wrench
-from ohmskin.client.fields import components, numbers
+from ohmskin.client.fields import as_number, components, numbers
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
@@ -31,7 +31,7 @@ def encode_contacts(merged: Contacts) -> bytes:
     encoder.put("I", len(merged.contacts))
     for c in merged.contacts:
         encoder.put(_CONTACT, places[c.patch], *numbers(c, 3))
-    return encoder.done()
+    return encoder.array(np.array([as_number(patch.total_force) for patch in merged.patches])).done()
 
 
 def encode_wrench(contacts: Sequence[PlacedContact], frame: str, stamp: int) -> bytes:

@@ -114,7 +114,8 @@ class Publisher(Closing):
 
     def contacts(self, touch: Touch, stamp: int) -> Contacts:
         """The contacts of a cycle, in the patch's frame."""
-        seen = PatchState(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
+        told = touch.sequence, touch.time, stamp, touch.mode.name, touch.percept.total_force
+        seen = PatchState(self.patch.name, self.patch.frame, *told)
         contacts = in_frame(touch.contacts, self._chart, self.patch)
         return merged(touch.sequence, [seen], contacts, self._board.boot)
 

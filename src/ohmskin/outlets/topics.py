@@ -18,6 +18,7 @@ uint64 boot              # changes whenever the sender starts anew
 uint64 sequence          # counts up by one, from 1 at a new boot
 ohmskin_msgs/PatchState[] patches
 ohmskin_msgs/PlacedContact[] contacts
+float64[] total_force    # N, of all contacts on each patch, by its auxiliary channel; NaN without a sound one
 """,
     "ohmskin_msgs/PatchState": """\
 # How fresh the part of one patch is.

@@ -57,6 +57,7 @@ class Percept:
         base_estimate: The estimate after the base scan, with its image; None where a frame has one scan.
         diagnosis: Detected faults of the instrument.
         lifted: Touches of the calibration that have been lifted, once they are sure; `corrected` takes them off.
+        total_force: Of all contacts by the auxiliary channel (N); None without a sound one, or where it reads nothing.
         without_total: The contacts with forces by the electrodes alone, not brought to the auxiliary channel's total.
     """
 
@@ -65,6 +66,7 @@ class Percept:
     base_estimate: Estimate | None = field(default=None, repr=False)
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
     lifted: Lifted | None = field(default=None, repr=False)
+    total_force: float | None = None
     without_total: tuple[Contact, ...] = field(default=(), repr=False)
 
     @property
@@ -181,8 +183,7 @@ class Sensor:
         self._placement, self._chart = placement_of(known), known.skin.chart
         self.fitter = reader.fitter if isinstance(reader, FilterReader | FitReader | LearnedReader) else None
         self.implementation: Implementation | None = None
-        self.seconds = 0.0
-        self.plugins: tuple[Plugin, ...] = ()
+        self.seconds, self.plugins = 0.0, tuple[Plugin, ...]()
 
     def with_drive(self, drive: Drive) -> "Sensor":
         """The same sensor with another `drive`, its own with other injections a frame; its state stays valid."""
@@ -245,15 +246,15 @@ class Sensor:
         if self.forces is not None and any(scan.known for scan in scans):
             undrifted = belief.without_drift(scans, self.known.pairs)
             presses, contacts = self.forces.update(presses, contacts, undrifted, elapsed)
-        alone, contacts = contacts, self.total(contacts, measured.frames) if state.uses_total else contacts
-        turn = state.turn + len(measured.frames)
-        recent = recent if self.window else ()
+        alone, total = contacts, self.total.known_total(measured.frames) if state.uses_total else None
+        contacts = self.total(contacts, measured.frames) if state.uses_total else contacts
+        turn, recent = state.turn + len(measured.frames), recent if self.window else ()
         known = turn, recent, now, diagnosis, presses, measured.located, suspicion, state.uses_total
         after = SensorState(belief, *known)
         believed = changed(belief, contacts=diagnosis.doubted(contacts, state.belief.contacts))
         reported = placed(self._placement, believed, scans, self.known.pairs)
         lifted = suspicion.lifted and self._remeasured(suspicion.lifted, diagnosis, scan)
-        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted, alone)
+        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis, lifted, total, alone)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
@@ -326,8 +327,7 @@ class Sensor:
             state: After the last step.
             scan: Drives a pattern once.
         """
-        frames: list[Frame] = []
-        scans: list[Difference] = []
+        frames, scans = list[Frame](), list[Difference]()
         base_estimate: Estimate | None = None
         located = state.located
         targets = [*targets_of(state.belief.contacts), *state.belief.search_targets]

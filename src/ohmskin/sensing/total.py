@@ -34,6 +34,11 @@ class TotalForce:
         off = (variance + self._rest_variance) / self._channel.gain**2
         return force, off + (self._channel.error * force) ** 2
 
+    def known_total(self, frames: Sequence[Frame]) -> float | None:
+        """The total force on the skin that frames measure (N); None where they do not, or there is no such channel."""
+        total = self.total(frames)[0] if self._present else float("nan")
+        return total if isfinite(total) else None
+
     def __call__(self, contacts: tuple[Contact, ...], frames: Sequence[Frame]) -> tuple[Contact, ...]:
         """Contacts with forces that add up to the total, each changed the more the less sure it was (a Kalman update).
 

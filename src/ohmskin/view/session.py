@@ -255,6 +255,7 @@ class PageSession(Closing):
             "guided": self._outcome,
             "progress": self._calibrated if self._engine.state is State.CALIBRATING else None,
             "contacts": [],
+            "total_force": None,
             "gesture": None,
             "bad_electrodes": [],
             "findings": [],
@@ -275,6 +276,7 @@ class PageSession(Closing):
             adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
                 "contacts": [shown_contact(contact, scale) for contact in touch.contacts],
+                "total_force": touch.percept.total_force,
                 "gesture": touch.gesture and touch.gesture.as_json(),
                 "bad_electrodes": sorted({*touch.percept.diagnosis.bad, *engine.sensor.known.bad}),
                 "findings": _findings(touch, engine.sensor.known),
