@@ -3,6 +3,7 @@
 import csv
 import os
 import pty
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -205,6 +206,67 @@ def test_a_load_cell_calibrates_the_layer(
     assert found.layer_conductance == pytest.approx(PAPER.contact_layer.conductance, rel=0.25)
     assert found.forces[-1] == pytest.approx(9.0, rel=0.01)
     assert done.stdout.count(" of 5] ") == 5
+
+
+@pytest.mark.parametrize(
+    ("before", "fault", "says", "kept"),
+    [
+        (3, "unplugged", r"the load cell at serial://\S+ was lost: .+; check its plug", 3),
+        (3, b"nan\n", r"gave no force for 1 s of pressing: there is no force in the line 'nan'; lines must end", 3),
+        (0, b"hello\n", r"gave no force for 1 s of pressing: there is no force in the line 'hello'", 0),
+        (3, b"5.00\n", r"told 5 N, unchanged, for 4 presses and between them; check its wire", 3),
+    ],
+)
+def test_a_load_cell_that_fails_is_told_at_once_and_what_was_gathered_is_kept(
+    before: int, fault: Any, says: str, kept: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = pty.openpty()
+    port = os.ttyname(theirs)
+
+    class Finger(DirectDevice):
+        """Presses one after the other until the cell fails after some, and goes on."""
+
+        scans, failed = -1, False
+
+        def _scan(self, pattern: Any, timeout: float) -> Any:
+            if self.scans >= 0:
+                turn, moment = divmod(self.scans, 60)
+                press = of_force(*TABLE[turn % len(TABLE)])
+                self.virtual.press(0, *press.position, press.radius, press.pressure if moment < 48 else 0.0)
+                if turn < before:
+                    os.write(ours, b"%.4f\n" % (press.force(FOAM) if moment < 48 else 0.0))
+                elif fault != "unplugged":
+                    os.write(ours, fault)
+                elif not self.failed:
+                    self.failed = True
+                    os.close(ours)
+                time.sleep(0.01)  # at the pace of a skin
+                self.scans += 1
+            return super()._scan(pattern, timeout)
+
+    device = Finger(VirtualSkin(PAPER, 3))
+    monkeypatch.setattr("ohmskin.cli.calibrate._SILENT", 1.0)
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, PAPER))
+    quiet = Calibration(conductivity=1.1 * PAPER.sheet.conductivity)
+    monkeypatch.setattr("ohmskin.cli.calibrate.calibrate_quiet", lambda *_, **__: quiet)  # which takes long
+
+    def told(text: str) -> None:
+        device.scans = 0 if text.startswith("press anywhere with the load cell") else device.scans
+        say(text)
+
+    monkeypatch.setattr("ohmskin.cli.calibrate.say", told)
+    done = ohmskin("calibrate", "--force-from", f"serial://{port}", "--output", "mine.toml", cwd=tmp_path)
+    if not device.failed:
+        os.close(ours)
+    os.close(theirs)
+    assert done.returncode == 2
+    assert re.search(says, " ".join(done.stderr.split()))
+    found = Skin.load(tmp_path / "mine.toml").calibration
+    assert found.conductivity == quiet.conductivity
+    assert bool(found.forces) == bool(kept)
+    assert (f"newtons by the {kept} presses so far" if kept else "the quiet skin alone") in " ".join(
+        done.stderr.split()
+    )
 
 
 @pytest.mark.parametrize("source", ["serial:///dev/none", "zenoh:nowhere", "forces.csv"])

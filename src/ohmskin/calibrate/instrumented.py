@@ -24,15 +24,25 @@ _OLD = 0.2  # s, after which a reading counts no more
 
 
 class LoadCell:
-    """The newest force measured by another instrument; set from any thread."""
+    """The newest force measured by another instrument; set from any thread.
+
+    Attributes:
+        trouble: Why its newest message has no force, in words; empty if it has one.
+        lost: Why it has gone for good, likewise.
+    """
 
     def __init__(self) -> None:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
+        self.trouble, self.lost = "", ""
 
     def update(self, force: float) -> None:
         """Store a reading, `force` (N); its sign is ignored."""
         with self._lock:
-            self._newest = abs(force), time.monotonic()
+            self._newest, self.trouble = (abs(force), time.monotonic()), ""
+
+    def fail(self, why: str, lost: bool = False) -> None:
+        """Store `why` there is no reading, and whether the cell is `lost` for good."""
+        self.trouble, self.lost = why, why if lost else self.lost
 
     @property
     def force(self) -> float:

@@ -1,6 +1,7 @@
 """``ohmskin calibrate``: the quiet skin, its sheet and contacts, and newtons."""
 
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -24,8 +25,8 @@ from ohmskin.calibrate import (
 from ohmskin.cli.heartbeat import HEARTBEAT
 from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable, open_skin, say, watched, write_skin
 from ohmskin.device import Device
-from ohmskin.engine import Engine
-from ohmskin.errors import DeviceError, OhmskinError
+from ohmskin.engine import Engine, Touch
+from ohmskin.errors import DataError, DeviceError, OhmskinError
 from ohmskin.inverse.quality import wrong_units
 from ohmskin.outlets.load_cell import open_load_cell
 from ohmskin.recording.player import reimage
@@ -37,6 +38,8 @@ _IDLE = 30_000  # cycles without a steady press, some minutes, after which we gi
 _WEIGHTS, _PLACES = (100.0, 200.0, 400.0, 700.0, 1000.0), 5  # g, unless given
 _TOPIC, _SAMPLES = "/wrench", 10  # likewise
 _GAP = 1.0  # s between rows of a table of forces, and over five times the usual, within which no force is known
+_SILENT, _SAME = 5.0, 3  # s of pressing without a force, and presses of one and the same, from which on we give up
+_BETWEEN = 0.2  # s without a contact between two presses
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
 
@@ -98,13 +101,14 @@ def calibrate(
     path = output or Path(f"{description.name}-calibrated.toml")
     curve, sampler = None, ForceSampler(samples)
     guide: PressGuide | ForceSampler = sampler
+    failed: OhmskinError | None = None
     with ExitStack() as stack:
         stack.enter_context(opened)
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
         cell = LoadCell()
         if force_from and not device.startswith("replay:"):
-            stack.callback(open_load_cell(force_from, force_topic, cell.update))  # likewise
+            stack.callback(open_load_cell(force_from, force_topic, cell.update, cell.fail))  # likewise
         if device.startswith("replay:"):
             known, mode = _replayed(device.removeprefix("replay:"), force_from, sampler, mode, skin)
             calibrated, found = description, description.calibration.made_now(description.digest, ohmskin.__version__)
@@ -119,22 +123,33 @@ def calibrate(
                     engine.calibrate()
                     if not engine.device.capabilities.virtual:
                         HEARTBEAT.end()  # it waits for presses
-                    if force_from:
-                        _listen(engine, sampler, cell, force_from)
-                    else:
-                        guide = asked = PressGuide(plan)
-                        _run_plan(engine, asked, calibrated)
+                    try:
+                        if force_from:
+                            _listen(engine, sampler, cell, force_from)
+                        else:
+                            guide = asked = PressGuide(plan)
+                            _run_plan(engine, asked, calibrated)
+                    except DeviceError as error:  # what was measured so far is kept
+                        failed = error
                     known, mode = engine.known, engine.mode.name
         if known is not None:
-            found, curve, words = fit_newtons(replace(found, mode=mode), guide, known)
-            for sentence in words:
-                console.print(sentence)
+            try:
+                found, curve, words = fit_newtons(replace(found, mode=mode), guide, known)
+                for sentence in words:
+                    console.print(sentence)
+            except DataError as error:
+                if device.startswith("replay:"):
+                    raise
+                failed = failed or error
     write_skin(path, replace(description, calibration=found))
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
         from ohmskin.plot.calibration import save_calibration  # here: it needs the extra `plot`
 
         save_calibration(picture, calibrated, guide.samples, curve)
+    if failed:
+        has = f"newtons by the {len(guide.samples)} presses so far" if curve else "the quiet skin alone, no newtons"
+        raise type(failed)(f"{failed}. {path} has {has}; run the command again for all")
 
 
 def _quiet(opened: Device, description: Skin, console: Console) -> Calibration:
@@ -199,10 +214,11 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
 def _listen(engine: Engine, sampler: ForceSampler, cell: LoadCell, source: str) -> None:
     """Take samples while somebody presses, until there are enough."""
     say(f"press anywhere with the load cell, one finger at a time, {sampler.count} times; hold each for a moment")
-    idle = 0
+    idle, watch = 0, _Watch(sampler, cell, source)
     while not sampler.done:
         touch = engine.step()
         idle += 1
+        watch.check(touch)
         if touch is None or (known := engine.known) is None:
             continue
         scans = tuple(map(known.difference, touch.percept.frames))
@@ -215,6 +231,42 @@ def _listen(engine: Engine, sampler: ForceSampler, cell: LoadCell, source: str) 
         elif idle > _IDLE:
             why = "no force was received" if np.isnan(cell.force) else "no steady press was detected"
             raise DeviceError(f"{why} in {_IDLE} cycles; the newest force from {source} is {cell.force:.3g} N")
+
+
+class _Watch:
+    """Tells at once that a load cell gives no forces, or the same one whatever presses, rather than after minutes."""
+
+    def __init__(self, sampler: ForceSampler, cell: LoadCell, source: str) -> None:
+        self._sampler, self._cell, self._source = sampler, cell, source
+        self._force, self._kept, self._presses = float("nan"), 0, 0  # the last one, and what came since it changed
+        self._time, self._free, self._without = time.monotonic(), _BETWEEN, 0.0  # s without a contact, and a force
+
+    def check(self, touch: Touch | None) -> None:
+        """Look at a cycle.
+
+        Raises:
+            DeviceError: If the cell is lost, or presses have no force, or always the same.
+        """
+        now = time.monotonic()
+        elapsed, self._time = now - self._time, now
+        if self._cell.lost:
+            raise DeviceError(f"the load cell at {self._source} was lost: {self._cell.lost}; check its plug")
+        pressed, force = bool(touch and touch.contacts), self._cell.force
+        if not np.isnan(force):
+            self._without = 0.0
+            if force != self._force:
+                self._force, self._kept, self._presses = force, len(self._sampler.samples), 0
+            self._presses += pressed and self._free >= _BETWEEN
+        elif pressed:
+            self._without += elapsed
+        self._free = 0.0 if pressed else self._free + elapsed
+        if self._without > _SILENT:
+            why = self._cell.trouble or "nothing comes; check its wire, whether it is on, and the rate (?baud=)"
+            raise DeviceError(f"{self._source} gave no force for {_SILENT:g} s of pressing: {why}")
+        if self._presses > _SAME:
+            del self._sampler.samples[self._kept :], self._sampler.peaks[self._kept :]  # whose force nobody knows
+            told = f"{self._source} told {force:.3g} N, unchanged, for {self._presses} presses and between them"
+            raise DeviceError(f"{told}; check its wire, and press with the load cell")
 
 
 def _run_plan(engine: Engine, guide: PressGuide, skin: Skin) -> None:

@@ -27,7 +27,9 @@ _RULE = "lines must end with a number of newtons, such as 12.5, F=12.5 or 12.5 N
 _BAUD = re.compile(r"serial://([^?]+)(?:\?baud=(\d+))?")
 
 
-def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> Callable[[], None]:
+def open_load_cell(
+    source: str, topic: str, report: Callable[[float], None], fail: Callable[[str, bool], None] = lambda *_: None
+) -> Callable[[], None]:
     """Tell every force (N) of a source from now on; gives what ends that.
 
     Args:
@@ -36,13 +38,14 @@ def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> 
             ROS 2 publishes a `geometry_msgs/msg/WrenchStamped`.
         topic: Its topic.
         report: Called in a thread.
+        fail: Likewise, with why a message has no force, and whether the source is lost for good.
 
     Raises:
         DeviceLost: If the port cannot be opened.
         PublishError: If there is no such source, its extra is missing, or the place cannot be used.
     """
     if source.startswith("serial://"):
-        return _listen_to_line(source, report)
+        return _listen_to_line(source, report, fail)
     if source.partition(":")[0] not in ("zenoh", "dds"):
         raise PublishError(f"forces cannot be read from {source!r}; choose serial://PORT, zenoh, dds or a .csv file")
     check_outlet(source)
@@ -53,8 +56,8 @@ def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> 
             decoder.stamp()
             decoder.text()
             report(math.hypot(*decoder.take("ddd")))
-        except DataError:
-            return  # it grows old, which is what its reader looks at
+        except DataError as error:
+            fail(str(error), False)  # it grows old, which is what its reader looks at
 
     return subscribe(source, topic, "geometry_msgs/WrenchStamped", None, take)[1]
 
@@ -71,7 +74,9 @@ def force_of(line: str) -> float | None:
     return force if math.isfinite(force) else None
 
 
-def _listen_to_line(source: str, report: Callable[[float], None]) -> Callable[[], None]:
+def _listen_to_line(
+    source: str, report: Callable[[float], None], fail: Callable[[str, bool], None]
+) -> Callable[[], None]:
     found = _BAUD.fullmatch(source)
     if found is None:
         raise PublishError(f"{source!r} names no serial port; use serial://PORT or serial://PORT?baud=9600")
@@ -86,16 +91,18 @@ def _listen_to_line(source: str, report: Callable[[float], None]) -> Callable[[]
         while not over.is_set():
             try:
                 text += line.read_until(b"\n", _LONGEST)  # or what came of a line in time
-            except (serial.SerialException, OSError):  # unplugged: the last reading grows old
-                return
+            except (serial.SerialException, OSError) as error:  # unplugged: the last reading grows old
+                return fail(str(error), True)
             *lines, text = _ENDS.split(text)
             text = text[-_LONGEST:]
             for one in [part.decode("ascii", "replace").strip() for part in lines]:
                 if (force := force_of(one)) is not None:
                     report(force)
-                elif one and not told:
-                    told = True
-                    log.warning("no force in the line %s of %s; %s", shown(one), port, _RULE)
+                elif one:
+                    fail(f"there is no force in the line {shown(one)}; {_RULE}", False)
+                    if not told:
+                        told = True
+                        log.warning("no force in the line %s of %s; %s", shown(one), port, _RULE)
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()
