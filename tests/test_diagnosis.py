@@ -4,7 +4,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import cycle, permutations, product
 
 import numpy as np
 import pytest
@@ -572,6 +572,22 @@ def test_a_step_of_the_gain_is_told_where_images_do_not_follow_it(engine: Engine
     device_of(engine).spoil = lambda frame: replace(frame, voltages=1.2 * frame.voltages)
     run(engine, 40)
     assert "all voltages have changed by +20 % together" in engine.message
+
+
+@pytest.mark.parametrize("engine", ["16O"], indirect=True)
+def test_the_number_of_a_common_change_does_not_flicker_nor_end_at_nothing(engine: Engine) -> None:
+    run(engine, 30)
+    gains = cycle([1.2, 1.21, 1.195, 1.205])
+    device_of(engine).spoil = lambda frame: replace(frame, voltages=next(gains) * frame.voltages)
+    run(engine, 40)
+    said = {next(engine.touches()) and engine.message for _ in range(10)}
+    device_of(engine).spoil = None
+    said |= {next(engine.touches()) and engine.message for _ in range(3)}
+    assert len(said) == 1
+    assert "together" in said.pop()
+    device_of(engine).spoil = lambda frame: replace(frame, voltages=1.3 * frame.voltages)
+    run(engine, 10)
+    assert "+30 %" in engine.message
 
 
 def test_three_wires_that_changed_places_are_told_as_two_exchanges(engine: Engine) -> None:

@@ -519,12 +519,13 @@ def test_the_whole_page_fits_the_window(chromium: Browser, touched: SyntheticLoo
     reader.close()
 
 
-@pytest.mark.parametrize(("width", "lines"), [(320, 3), (1440, 1)])
-def test_a_notice_stands_in_the_middle_of_its_line(
-    chromium: Browser, touched: SyntheticLoop, width: int, lines: int
+@pytest.mark.parametrize(("width", "times", "lines"), [(320, 1, 3), (1440, 1, 1), (320, 2, 5), (1000, 3, 3)])
+def test_a_notice_is_whole_and_stands_in_the_middle_of_its_line(
+    chromium: Browser, touched: SyntheticLoop, width: int, times: int, lines: int
 ) -> None:
     touched.header = {"state": "running", "demo": False, "mode": "16T", **AS_USUAL}
-    touched.header["message"] = "electrode 6: open: almost no current flows when it is driven; check its wire; left out"
+    told = "electrode 6: open: almost no current flows when it is driven; check its wire; left out"
+    touched.header["message"] = "; ".join([told] * times)
     reader = Reader(chromium, touched, viewport={"width": width, "height": 800})
     expect(reader.page.locator("#notice")).to_have_attribute("data-kind", "warn")
     above, below, rows = reader.page.evaluate(

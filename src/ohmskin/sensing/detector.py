@@ -29,6 +29,7 @@ _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, which is not quite the same on all
 _UNLIKE = 0.4  # share of the signal that no contacts explain, above which it is reported; real skins have up to a third
+_STEADY = 0.02  # by which such a change must have changed for another number to be told
 _COMMON = 0.04  # change of all voltages together, above which it is reported,
 _ALIKE = 0.95  # if it is that share of the signal; presses beside none are a quarter of it at most
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
@@ -97,8 +98,9 @@ class FaultDetector:
         common = before.common
         if any(scan.known for scan in scans):
             factor, alike = common_change(self._known, scans)
-            common = factor if alike > _ALIKE else 0.0
-            causes |= {Cause("common")} if abs(common) > _COMMON else set()
+            if alike > _ALIKE and abs(factor) > _COMMON:
+                causes |= {Cause("common")}
+                common = factor if abs(factor - common) > _STEADY else common  # words that change are hard to read
         lost = self._lost(frames)
         causes |= {Cause(kind) for kind, count in lost.items() if count}
         empty = not any(np.isfinite(scan.volts).any() for scan in scans)

@@ -95,7 +95,7 @@ class Diagnosis:
         wires: Wires that are exchanged, or touch each other, in the newest frame.
         without_fault: Mean square of changes that no fault of wires explained (V2).
         unlike: Share of the data of recent frames that no contacts explain.
-        common: By what share all voltages have changed together, if that is most of the newest change (1).
+        common: By what share all voltages had changed together when that was last most of a change, within 0.02 (1).
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since the last frame with any valid value (s).
         recent: For how long a cause is a recent one (s).
