@@ -14,7 +14,7 @@ import pytest
 from numba.core import event
 from waiting import until
 
-from ohmskin.engine.compiling import compiling
+from ohmskin.compiler import compiling
 
 LOOP = """if True:
     from direct import DirectDevice

@@ -146,7 +146,7 @@ def _compiling() -> AbstractContextManager[None]:
     """Says on stderr that functions are being compiled, if the command has any."""
     if "numba" not in sys.modules:
         return nullcontext()
-    from ohmskin.engine.compiling import compiling  # here: numba takes a while to import
+    from ohmskin.compiler import compiling  # here: numba takes a while to import
 
     return compiling(lambda sentence: print(sentence, file=sys.stderr, flush=True))
 

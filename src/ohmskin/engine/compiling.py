@@ -1,63 +1,19 @@
 """Compiled functions are compiled when they are first called on a machine, once; that takes some 20 s."""
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 
 import numpy as np
 from numba.core import event
 
 from ohmskin.child import Child
 from ohmskin.closing import Closing, every
+from ohmskin.compiler import LOOK_EVERY, CompileListener, is_ours
 from ohmskin.drive import Target
 from ohmskin.engine.functions import chosen, compile_functions
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
-_REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
 _EACH = 2  # functions compiled for each one that a loop calls, as most have some that only they call
-
-
-class _Listener(event.Listener):
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._report, self._began, self._due, self._under_way = report, 0.0, 0.0, 0
-        self.count = 0
-
-    def on_start(self, event: event.Event) -> None:
-        if _own(event):
-            self._began = self._began or time.monotonic()
-            self.count += 1
-            self._under_way += 1
-            self.report()
-
-    def on_end(self, event: event.Event) -> None:
-        self._under_way -= _own(event)
-
-    def report(self) -> None:
-        """Say how far it is, if anything is being compiled and nothing was said for a while."""
-        now = time.monotonic()
-        if self._under_way and now >= self._due:
-            self._due = now + _REPORT_EVERY
-            count = f"{self.count} function{'s' * (self.count != 1)}"
-            spent = f"; {count} in {now - self._began:.0f} s" if now > self._began + 1 else ""
-            self._report(f"compiling, once on this machine{spent}")
-
-
-def _own(event: event.Event) -> bool:
-    """Whether a function of ours is compiled, and not one that numba needs for it."""
-    return str(event.data["dispatcher"].py_func.__module__).startswith("ohmskin.")
-
-
-@contextmanager
-def compiling(report: Callable[[str], None], threaded: bool = True) -> Iterator[None]:
-    """Say that functions are being compiled when that begins, and every second or two while it goes on.
-
-    Not `threaded`, it is said by the thread that compiles alone, at the next function after that.
-    """
-    listener = _Listener(report)
-    ticking = every(_REPORT_EVERY / 4, listener.report) if threaded else nullcontext()
-    with event.install_listener("numba:compile", listener), ticking:
-        yield
 
 
 def compile_ahead(report: Callable[[str, float], None], fits: bool = True) -> None:
@@ -69,8 +25,8 @@ def compile_ahead(report: Callable[[str, float], None], fits: bool = True) -> No
     """
     which = None if fits else False
     count = _EACH * len(chosen(which))
-    listener = _Listener(lambda words: report(words, min(1.0, listener.count / count)))
-    with event.install_listener("numba:compile", listener), every(_REPORT_EVERY / 4, listener.report):
+    listener = CompileListener(lambda words: report(words, min(1.0, listener.count / count)))
+    with event.install_listener("numba:compile", listener), every(LOOK_EVERY, listener.report):
         compile_functions(which)
 
 
@@ -97,7 +53,7 @@ class _Missing(Exception):
 
 class _Refusal(event.Listener):
     def on_start(self, event: event.Event) -> None:
-        if _own(event):
+        if is_ours(event):
             raise _Missing
 
     def on_end(self, event: event.Event) -> None:

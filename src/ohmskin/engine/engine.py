@@ -8,9 +8,10 @@ from threadpoolctl import threadpool_limits
 
 from ohmskin.calibrate.measures import check_fit
 from ohmskin.closing import Closing
+from ohmskin.compiler import compiling
 from ohmskin.device import Capabilities, Device
 from ohmskin.drive import Drive, Fixed
-from ohmskin.engine.compiling import Compilation, compiling
+from ohmskin.engine.compiling import Compilation
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices, lost
 from ohmskin.engine.quiet import MEASURED, QuietFrames, check_usable
@@ -324,8 +325,7 @@ class Engine(Closing):
         if (wait := self._retry_at - time.monotonic()) > 0:
             time.sleep(min(wait, 0.02))
             return
-        self._retry_at = time.monotonic() + _RETRY_AFTER
-        before = self.device.capabilities
+        before, self._retry_at = self.device.capabilities, time.monotonic() + _RETRY_AFTER
         try:
             self.device = self._opened(before)
         except DeviceLost as error:  # still away

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, spline_filter1d
 
 from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.cache import cached
@@ -222,6 +221,8 @@ class ContactTable:
 
 def _closest_on(off: NDArray[np.bool_], pitch: Floats, closed: bool) -> tuple[Ints, Ints]:
     """Numbers (n_x, n_y) along x and along y of the place not `off` (n_x, n_y) that is closest to each of a grid."""
+    from scipy.ndimage import distance_transform_edt  # takes a tenth of a second, which kept tables need not wait
+
     turns = 3 if closed else 1
     around = np.concatenate([off] * turns)
     x, y = distance_transform_edt(around, sampling=pitch, return_distances=False, return_indices=True)
@@ -231,6 +232,8 @@ def _closest_on(off: NDArray[np.bool_], pitch: Floats, closed: bool) -> tuple[In
 
 def _knots(values: Floats, closed: bool) -> Floats:
     """Coefficients of the cubic spline through values on a grid (n_x, n_y, ...), with those beyond its border."""
+    from scipy.ndimage import spline_filter1d  # as in `_closest_on`
+
     for axis in (0, 1):
         round_it = closed and axis == 0
         values = spline_filter1d(values, order=3, axis=axis, mode="grid-wrap" if round_it else "mirror")
