@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from direct import DirectDevice
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -29,12 +31,14 @@ from websockets.sync.client import connect
 
 from ohmskin.body import Body
 from ohmskin.body.body import axes
+from ohmskin.body.patch import sense
 from ohmskin.body.patches import Merger
 from ohmskin.body.robot import Robot
 from ohmskin.client import Board, Client, Patch, PatchState, PlacedContact
 from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
+from ohmskin.skin import Skin, VirtualSkin
 from ohmskin.view.overview import BoardsPage, Overview
 
 URDF = """
@@ -415,6 +419,23 @@ def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(
         arm = next(seen for seen in robot.newest().patches if seen.patch == "arm")  # type: ignore[union-attr]
         assert arm.age < 1.0  # the other one goes on meanwhile
         until(lambda: robot.newest().age < 0.5)  # type: ignore[union-attr]
+
+
+def test_how_far_the_calibration_of_a_patch_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin = Skin.parse("[imaging]\nmesh_size = 9e-3\n")
+    monkeypatch.setattr("ohmskin.body.patch.connect", lambda *_, **__: DirectDevice(VirtualSkin(skin)))
+    monkeypatch.setattr("ohmskin.engine.quiet._REPORT_EVERY", 0.0)
+    told, stop = list[str](), threading.Event()
+
+    def answer(state: str = "", message: str = "", **_: float) -> None:
+        told.append(message)
+        if state == "running":
+            stop.set()
+
+    patch = asdict(Patch("front", "base"))
+    settings = {"device": "virtual:", "skin": skin.dump(), "mode": "12B", "patch": patch, "name": "torso.front"}
+    sense({**settings, "demo": False, "images": 10.0}, answer, stop)
+    assert any(re.fullmatch(r"calibrating: 50% measured, about \d+ s left", message) for message in told)
 
 
 def patch_processes(pid: int) -> list[psutil.Process]:

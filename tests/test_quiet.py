@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from direct import DirectDevice
 
-from ohmskin.cli.loop import CalibrationReport
 from ohmskin.drive import base_pattern
 from ohmskin.engine import Engine
-from ohmskin.engine.quiet import MEASURED, QuietFrames
+from ohmskin.engine.quiet import MEASURED, CalibrationReport, QuietFrames
 from ohmskin.errors import DataError
 from ohmskin.scan import Baseline, DrivePattern, Frame
 from ohmskin.skin import Fault, Skin, VirtualSkin
@@ -54,7 +53,7 @@ def test_a_quiet_skin_is_measured_once() -> None:
 def test_how_far_the_calibration_of_a_slow_device_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """After some seconds, in a share and in seconds at this pace; from the start again where something moved."""
     now, told = 0.0, list[tuple[str, float, float]]()
-    monkeypatch.setattr("ohmskin.cli.loop.time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr("ohmskin.engine.quiet.time", SimpleNamespace(monotonic=lambda: now))
     report = CalibrationReport(lambda *words: told.append(words))
     for turn in range(2):
         for number in range(40):

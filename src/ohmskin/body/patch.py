@@ -15,6 +15,7 @@ from ohmskin.client.contacts import patches_from
 from ohmskin.device import connect
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine, State
+from ohmskin.engine.quiet import CalibrationReport
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
@@ -65,10 +66,12 @@ def _run(
     stop: threading.Event,
 ) -> None:
     """Calibrate and sense; a demonstration finger wanders over the skin that is `pressed`."""
+    report = CalibrationReport(lambda sentence, *_: answer(message=sentence))
 
-    def go_on(_: float) -> None:
+    def go_on(progress: float) -> None:
         if stop.is_set():
             raise SystemExit
+        report(progress)
 
     answer(state="calibrating", message="")
     engine.calibrate(go_on)

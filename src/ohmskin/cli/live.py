@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ohmskin.cli.arrivals import Arrivals
-from ohmskin.cli.loop import CalibrationReport, calibrating, open_loop
+from ohmskin.cli.loop import calibrating, open_loop
 from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
@@ -34,6 +34,7 @@ from ohmskin.cli.options import (
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
 from ohmskin.engine import Engine, State, Touch
+from ohmskin.engine.quiet import CalibrationReport
 from ohmskin.errors import DeviceLost
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher

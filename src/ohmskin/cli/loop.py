@@ -27,7 +27,7 @@ from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.compiling import Compilation, compile_ahead, prepare
-from ohmskin.engine.quiet import MEASURED
+from ohmskin.engine.quiet import CalibrationReport
 from ohmskin.errors import DeviceLost, OhmskinError
 from ohmskin.mcap import Progress
 from ohmskin.recording.player import Player
@@ -35,7 +35,7 @@ from ohmskin.recording.recorder import Recorder
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin
 
-_REPORT_EVERY, _CALIBRATION_EVERY = 1.0, 5.0  # s
+_REPORT_EVERY = 1.0  # s
 
 
 class ProgressReport:
@@ -63,27 +63,6 @@ class ProgressReport:
             lost = f"  {dropped} messages dropped" if dropped else ""
             print(f"{counts}  {rate / 1e6:6.2f} MB/s{lost}", flush=True)
         self._last = progress
-
-
-class CalibrationReport:
-    """The progress of a calibration of a slow device, every few seconds: what share is measured, and for how long yet.
-
-    Args:
-        report: Called with a sentence, the share (0 to 1) and the time that the rest will take at this pace (s).
-    """
-
-    def __init__(self, report: Callable[[str, float, float], object]) -> None:
-        self._report, self._share = report, 1.0
-        self._began = self._due = 0.0
-
-    def __call__(self, progress: float) -> None:
-        now, before, self._share = time.monotonic(), self._share, progress / MEASURED
-        if self._share < before:  # it begins, or begins again because something moved
-            self._began, self._due = now, now + _CALIBRATION_EVERY
-        elif now >= self._due and before < self._share < 1:
-            self._due = now + _CALIBRATION_EVERY
-            left = (now - self._began) * (1 / self._share - 1)
-            self._report(f"calibrating: {self._share:.0%} measured, about {left:.0f} s left", self._share, left)
 
 
 @dataclass(frozen=True)

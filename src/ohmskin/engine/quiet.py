@@ -1,5 +1,6 @@
 """Quiet frames: every pattern again and again, while nothing touches the skin; what was disturbed is measured again."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from ohmskin.scan.repeats import finite
 MEASURED = 0.7
 """Share of a calibration's progress at which the quiet skin is measured."""
 
+_REPORT_EVERY = 5.0  # s
 _REPEATS = 40  # of each pattern, for the baseline
 _JUDGED = 2048  # voltages of a piece: whether these agree takes the cube of what they tell of
 _OUTLIER = 8.0  # robust standard deviations beyond which a value is a disturbance
@@ -24,6 +26,27 @@ _LEAST, _GAUSSIAN = 1e-4, 1.4826  # noise over the largest voltage, at least; st
 _SMALLEST = 0.01  # share of the changes from frame to frame that are smaller than a converter's step, at most
 _LARGEST = 100.0  # A
 _MOST_BAD = 0.25  # share of the electrodes that a skin can do without
+
+
+class CalibrationReport:
+    """The progress of a calibration of a slow device, every few seconds: what share is measured, and for how long yet.
+
+    Args:
+        report: Called with a sentence, the share (0 to 1) and the time that the rest will take at this pace (s).
+    """
+
+    def __init__(self, report: Callable[[str, float, float], object]) -> None:
+        self._report, self._share = report, 1.0
+        self._began = self._due = 0.0
+
+    def __call__(self, progress: float) -> None:
+        now, before, self._share = time.monotonic(), self._share, progress / MEASURED
+        if self._share < before:  # it begins, or begins again because something moved
+            self._began, self._due = now, now + _REPORT_EVERY
+        elif now >= self._due and before < self._share < 1:
+            self._due = now + _REPORT_EVERY
+            left = (now - self._began) * (1 / self._share - 1)
+            self._report(f"calibrating: {self._share:.0%} measured, about {left:.0f} s left", self._share, left)
 
 
 class QuietFrames:
