@@ -66,8 +66,10 @@ def refit(
         params, fit[0], fit[1], fit[2], fit[3], mean, prior, np.int64(40), radius, least, smallest, largest, sheet,
         spline, np.inf,
     )  # fmt: skip
-    remaining = cost
-    if len(shapes) and ((params[:, :2] - start) ** 2).sum(axis=1).max() > (MOVED * radius) ** 2:
+    remaining, moved = cost, 0.0
+    for k in range(n):  # a sum along an axis takes numba three seconds to compile
+        moved = max(moved, (params[k, 0] - start[k, 0]) ** 2 + (params[k, 1] - start[k, 1]) ** 2)
+    if len(shapes) and moved > (MOVED * radius) ** 2:
         beside = marginalised(whole, shapes_of(params, radius, error, spline))
         remaining = max(cost, subtract(beside[0], beside[1], beside[2], beside[3], caused)[1])
     signal = max(white[3], 0.0) / count
