@@ -43,7 +43,7 @@ hypothesis.settings.load_profile("patient")
 @pytest.hookimpl(trylast=True)
 def pytest_sessionstart() -> None:
     """Workers compile nothing twice, and never mix up the index of what is kept of one function."""
-    from turns import take_turns
+    from ohmskin.compiler import take_turns
 
     take_turns()
 

@@ -31,7 +31,7 @@ TOUCHED = """if True:
     from numba.core.dispatcher import Dispatcher
     from ohmskin import Engine, Skin, VirtualSkin
     from ohmskin.engine.compiling import compile_ahead
-    from turns import take_turns
+    from ohmskin.compiler import take_turns
 
     take_turns()
 
@@ -122,6 +122,28 @@ def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
     assert left == "0"
     if mode == "16P":
         assert unknown == "0", "make ohmskin.engine.signatures anew: .venv/bin/python tools/signatures.py"
+
+
+def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:
+    script = """if True:
+        import sys
+        from ohmskin.cli import _compiling
+        from ohmskin.geometry.overlap import _edge
+
+        _compiling()  # as every command that has something to compile
+        print("ready", flush=True)
+        sys.stdin.readline()
+        _edge.compile("(f8, f8, f8, f8, f8)")
+        print(sum(_edge.stats.cache_misses.values()), sum(_edge.stats.cache_hits.values()))
+        """
+    command, settings = [sys.executable, "-c", script], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    pipes = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
+    both = [subprocess.Popen(command, env=settings, text=True, **pipes) for _ in range(2)]
+    assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
+    for process in both:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    assert sorted(process.communicate(timeout=120)[0] for process in both) == ["0 1\n", "1 0\n"]
 
 
 def test_a_sign_of_life_comes_while_one_function_takes_long() -> None:

@@ -64,28 +64,6 @@ def test_what_is_missing_is_skipped_with_its_package_and_fails_in_ci(monkeypatch
         needs("no-such-program", package="nowhere")
 
 
-def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:
-    script = """if True:
-        import sys
-        from turns import take_turns
-        from ohmskin.geometry.overlap import _edge
-
-        take_turns()
-        print("ready", flush=True)
-        sys.stdin.readline()
-        _edge.compile("(f8, f8, f8, f8, f8)")
-        print(sum(_edge.stats.cache_misses.values()), sum(_edge.stats.cache_hits.values()))
-        """
-    command, settings = [sys.executable, "-c", script], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    pipes = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
-    both = [subprocess.Popen(command, env=settings, cwd=FOLDER, text=True, **pipes) for _ in range(2)]
-    assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
-    for process in both:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    assert sorted(process.communicate(timeout=120)[0] for process in both) == ["0 1\n", "1 0\n"]
-
-
 def test_a_run_ends_after_a_failed_set_up_and_takes_its_children_with_it(tmp_path: Path) -> None:
     (tmp_path / "test_failing.py").write_text(FAILING)
     path = os.pathsep.join([str(FOLDER), os.environ.get("PYTHONPATH", "")])

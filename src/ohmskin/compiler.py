@@ -1,15 +1,27 @@
-"""What numba compiles is told: it takes some 20 s, once on a machine."""
+"""What numba compiles is told, and compiled by one process at a time: it takes some 20 s, once on a machine.
+
+What one process has compiled, the others load.
+"""
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO
 
-from numba.core import event
+from numba.core import config, event
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
+from ohmskin.cache import cache_folder
 from ohmskin.closing import every
 
 _REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
 LOOK_EVERY = _REPORT_EVERY / 4  # s between two looks at whether a report is due
+
+_held = set[str]()  # turns of this process
+_never_wait = ""  # held: all turns
 
 
 class CompileListener(event.Listener):
@@ -61,3 +73,78 @@ def compiling(report: Callable[[str], None], threaded: bool = True) -> Iterator[
     ticking = every(LOOK_EVERY, listener.report) if threaded else nullcontext()
     with event.install_listener("numba:compile", listener), ticking:
         yield
+
+
+class NotCompiled(Exception):
+    """A function was not compiled on this machine."""
+
+
+class _Refusal(event.Listener):
+    def on_start(self, event: event.Event) -> None:
+        if is_ours(event):
+            raise NotCompiled
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Functions are loaded, without waiting for another process that compiles one: what was never compiled raises.
+
+    Raises:
+        NotCompiled: Then.
+    """
+    _held.add(_never_wait)
+    try:
+        with event.install_listener("numba:compile", _Refusal()):
+            yield
+    finally:
+        _held.remove(_never_wait)
+
+
+@cache
+def take_turns() -> None:
+    """From now on, this process waits for another one that compiles the function of ours that it needs, and loads it.
+
+    Nor do two of them mix up the index of what is kept of one function.
+    """
+    alone = Dispatcher.compile
+
+    def compile_in_turn(function: Any, types: Any) -> Any:
+        name = f"{function.py_func.__module__}.{function.py_func.__qualname__}"
+        if not name.startswith("ohmskin."):
+            return alone(function, types)
+        with global_compiler_lock, _turn(name):  # in this order: no thread has a turn while it waits for another thread
+            return alone(function, types)
+
+    Dispatcher.compile = compile_in_turn  # type: ignore[assignment, method-assign]
+
+
+@contextmanager
+def _turn(name: str) -> Iterator[None]:
+    """Only one process at a time has the turn of a name; within it, it has it already."""
+    if _held & {name, _never_wait}:
+        yield
+        return
+    file = _locked(name)
+    _held.add(name)
+    try:
+        yield
+    finally:
+        _held.remove(name)
+        if file is not None:
+            file.close()
+
+
+def _locked(name: str) -> BinaryIO | None:
+    """A file that is locked until it is closed; None where none can be written, and all compile by themselves."""
+    folder = Path(config.CACHE_DIR or cache_folder())  # type: ignore[attr-defined]
+    with suppress(ImportError, OSError):
+        import fcntl  # not everywhere
+
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        file = (folder / f"{name}.turn").open("ab")
+        fcntl.flock(file, fcntl.LOCK_EX)
+        return file
+    return None

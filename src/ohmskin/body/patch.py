@@ -7,18 +7,22 @@ import gc
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from ohmskin.child import begin, when_input_ends
 from ohmskin.client.board import Board
 from ohmskin.client.contacts import patches_from
-from ohmskin.device import connect
+from ohmskin.compiler import take_turns
+from ohmskin.device import Device, connect
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine, State
+from ohmskin.engine.compiling import compile_ahead
 from ohmskin.engine.quiet import CalibrationReport
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
+from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin
 
 _RETRY_AFTER = 1.0
@@ -37,16 +41,22 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     """
     skin, device = Skin.parse(settings["skin"]), settings["device"]
     (patch,) = patches_from({"patches": [settings["patch"]]})
-    options = {"skin": skin} if device == "virtual:" else {}
+    fits = mode_named(skin, settings["mode"]).reader != "centroid"
+    ahead = partial(compile_ahead, lambda sentence, _: answer(message=sentence), fits)
+
+    def opened() -> Device:
+        if device == "virtual:":
+            return connect(device, skin=skin, meanwhile=ahead)
+        ahead()
+        return connect(device)
+
     with (
         Publisher(skin, (), settings["name"], patch, images=settings["images"]) as publisher,
         Board(f"{settings['name']}.device", {}, 256) as address,
     ):
         while not stop.is_set():
             try:
-                with Engine(
-                    lambda: connect(device, **options), skin, settings["mode"], lambda text: answer(message=text)
-                ) as engine:
+                with Engine(opened, skin, settings["mode"], lambda text: answer(message=text)) as engine:
                     commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
                     with CommandServer(settings["name"], commands) as server:
                         _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)
@@ -99,6 +109,7 @@ def _run(
 
 def main() -> None:
     """Run one patch."""
+    take_turns()
     settings, answer = begin()
     stop = threading.Event()
     when_input_ends(stop.set)

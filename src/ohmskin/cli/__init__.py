@@ -146,8 +146,9 @@ def _compiling() -> AbstractContextManager[None]:
     """Says on stderr that functions are being compiled, if the command has any."""
     if "numba" not in sys.modules:
         return nullcontext()
-    from ohmskin.compiler import compiling  # here: numba takes a while to import
+    from ohmskin.compiler import compiling, take_turns  # here: numba takes a while to import
 
+    take_turns()
     return compiling(lambda sentence: print(sentence, file=sys.stderr, flush=True))
 
 

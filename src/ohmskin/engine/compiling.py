@@ -7,7 +7,7 @@ from numba.core import event
 
 from ohmskin.child import Child
 from ohmskin.closing import Closing, every
-from ohmskin.compiler import LOOK_EVERY, CompileListener, is_ours
+from ohmskin.compiler import LOOK_EVERY, CompileListener, NotCompiled, loading
 from ohmskin.drive import Target
 from ohmskin.engine.functions import chosen, compile_functions
 from ohmskin.sensing import drive_of, mode_named
@@ -47,25 +47,12 @@ class Compilation(Closing):
             self._child.close(0.0)
 
 
-class _Missing(Exception):
-    """A function was not compiled on this machine."""
-
-
-class _Refusal(event.Listener):
-    def on_start(self, event: event.Event) -> None:
-        if is_ours(event):
-            raise _Missing
-
-    def on_end(self, event: event.Event) -> None:
-        pass
-
-
 def _loaded() -> bool:
     """Load what was compiled before; whether that is all."""
     try:
-        with event.install_listener("numba:compile", _Refusal()):
+        with loading():
             compile_functions()
-    except _Missing:
+    except NotCompiled:
         return False
     return True
 

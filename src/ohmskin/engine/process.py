@@ -3,6 +3,7 @@
 import os
 
 from ohmskin.child import begin, when_input_ends
+from ohmskin.compiler import take_turns
 from ohmskin.engine.functions import compile_functions
 
 _LESS_URGENT = 10  # niceness
@@ -14,6 +15,7 @@ def main() -> None:
     when_input_ends(lambda: os._exit(0))
     if hasattr(os, "nice"):
         os.nice(_LESS_URGENT)
+    take_turns()
     compile_functions(fits=True)
 
 
