@@ -124,6 +124,14 @@ def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
         assert unknown == "0", "make ohmskin.engine.signatures anew: .venv/bin/python tools/signatures.py"
 
 
+def test_nothing_is_left_to_compile_in_the_mode_that_stands_in_while_the_default_one_is_compiled() -> None:
+    script = TOUCHED.replace("*_: None)", "*_: None, fits=False)").replace("import sys", "import sys, types", 1)
+    script = script.replace("sys.argv[1]", "compilation=types.SimpleNamespace(under_way=True)")
+    contacts, left, unknown = run(script).stdout.splitlines()
+    assert contacts.endswith("2")
+    assert (left, unknown) == ("0", "0")
+
+
 def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:
     script = """if True:
         import sys

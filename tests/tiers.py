@@ -100,6 +100,7 @@ LONG = {
     "test_compiling.py::test_nothing_is_left*[[]12B": "the same of `16P`, which compiles most",
     "test_compiling.py::test_nothing_is_left*[[]16T": "the same of `16P`, which compiles most",
     "test_compiling.py::test_nothing_is_left*[[]16O": "the same of `16P`, which compiles most",
+    "test_compiling.py::test_nothing_is_left_to_compile_in": "what stands in for a mode, in test_sensors.py",
     "test_compiling.py::test_the_skin_is_felt_while": "what stands in for a mode, in test_sensors.py",
     "test_conformance.py::test_the_virtual_driver_passes": "a driver over the wire that passes the same checks",
     "test_conformance.py::test_the_wire_driver_passes*[[]True": "the same over TCP",
