@@ -1,8 +1,7 @@
 // What an ohmskin tactile skin feels, for control loops in C++: reads the shared memory that
 // `ohmskin live --publish shm` writes. One header, C++17, standard library and POSIX; Linux, little-endian.
 // Neither side waits for the other; either may start, end and come again. Memory is allocated when a skin is seen
-// for the first time or has started anew, at no other look. A Client is not safe to share between threads: give each
-// its own. docs/guide/publishing.md tells more, and the layout.
+// for the first time or has started anew, at no other look. Threads need a Client each. More: docs/guide/publishing.md
 #pragma once
 
 #include <fcntl.h>
@@ -317,11 +316,10 @@ class Client {
     }
     PlacedContact contact(const char*& at) {
         const Patch& patch = patch_lists_.back()[detail::read<std::uint32_t>(at)];
-        const auto id = detail::read<std::int32_t>(at);
+        PlacedContact c{};
+        c.id = detail::read<std::int32_t>(at), c.patch = patch.name, c.frame = patch.frame;
         const auto v = detail::read<std::array<double, 25>>(at);  // in the order of `ohmskin.client.fields`
         const auto maybe = [&v](std::size_t i) { return std::isnan(v[i]) ? std::nullopt : std::optional(v[i]); };
-        PlacedContact c{};
-        c.id = id, c.patch = patch.name, c.frame = patch.frame;
         c.position = {v[0], v[1], v[2]}, c.normal = {v[3], v[4], v[5]};
         c.extent = v[6], c.strength = v[7], c.confidence = v[8], c.peak = v[9], c.radius = maybe(10);
         if (!std::isnan(v[11])) c.velocity = {v[11], v[12], v[13]};
@@ -336,8 +334,8 @@ class Client {
         for (std::string at; setup.texts.count((at = "/patches/" + std::to_string(patches.size())) + "/name");) {
             const Matrix axes{setup.vector(at + "/axes/0"), setup.vector(at + "/axes/1"), setup.vector(at + "/axes/2")};
             const bool newtons = setup.texts.count(at + "/newtons") && setup.texts.at(at + "/newtons") == "true";
-            const std::string &name = setup.texts.at(at + "/name"), &frame = setup.texts.at(at + "/frame");
-            patches.push_back({name, frame, setup.vector(at + "/position"), axes, newtons});
+            patches.push_back({setup.texts.at(at + "/name"), setup.texts.at(at + "/frame"),
+                               setup.vector(at + "/position"), axes, newtons});
         }
         patch_lists_.push_back(std::move(patches)), returned_boot_ = board_.boot();
     } catch (const std::out_of_range&) {
