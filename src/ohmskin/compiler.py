@@ -18,6 +18,7 @@ from ohmskin.cache import cache_folder
 from ohmskin.closing import every
 
 _REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
+_LONGEST, _NAP = 120.0, 0.02  # s for which a turn is waited for, several times what any function takes; between looks
 LOOK_EVERY = _REPORT_EVERY / 4  # s between two looks at whether a report is due
 
 _held = set[str]()  # turns of this process
@@ -138,13 +139,18 @@ def _turn(name: str) -> Iterator[None]:
 
 
 def _locked(name: str) -> BinaryIO | None:
-    """A file that is locked until it is closed; None where none can be written, and all compile by themselves."""
+    """A file that is locked until it is closed; None, and all compile by themselves, where none can be written, or
+    whoever has it is stuck."""
     folder = Path(config.CACHE_DIR or cache_folder())  # type: ignore[attr-defined]
     with suppress(ImportError, OSError):
         import fcntl  # not everywhere
 
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        file = (folder / f"{name}.turn").open("ab")
-        fcntl.flock(file, fcntl.LOCK_EX)
-        return file
+        file, until = (folder / f"{name}.turn").open("ab"), time.monotonic() + _LONGEST
+        while time.monotonic() < until:
+            with suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return file
+            time.sleep(_NAP)
+        file.close()
     return None
