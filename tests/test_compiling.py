@@ -95,7 +95,7 @@ def test_a_loop_has_it_as_its_message_while_it_lasts(partly: Path) -> None:
 
 def test_the_skin_is_felt_while_the_default_mode_is_compiled_which_follows_by_itself(tmp_path: Path) -> None:
     run(TOUCHED, "16P")  # compiles what is missed by nobody below
-    kept = without("*whitened*", tmp_path / "numba")
+    kept = without("*refit*", tmp_path / "numba")
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(kept)}
     modes, said = list[str](), list[str]()
     command = [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "300"]
