@@ -91,7 +91,8 @@ class WireFaults:
         Args:
             scans: What has changed, with `power`.
             before: The fault found in the last frame: beside it, something may touch the skin.
-            thorough: Whether any two exchanges are tried if no contacts could change as much, a hundred times as long.
+            thorough: Whether any two exchanges are tried if no contacts could change as much: up to fifteen times as
+                long with 16 electrodes.
         """
         data = Information.of(self._pairs, self._errors, [scan for scan in scans if scan.known])[0]
         if before is not None and _explains(before, data, _UNEXPLAINED):  # few injections may not show all of it
