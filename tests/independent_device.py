@@ -122,7 +122,8 @@ class IndependentDevice:
     """Serves the sheet over TCP on a port of its own.
 
     `opened` are electrodes whose wire is off; `odd` says what is wrong with the next scans, one word for each;
-    `then` are touches from after the next scan on; `hum` is of 50 Hz, on all voltages (V).
+    `then` are touches from after the next scan on; `touched` numbers the scans that were touched; `hum` is of 50 Hz, on
+    all voltages (V).
     """
 
     def __init__(self, seed: int, noise: float = 1e-4) -> None:
@@ -130,6 +131,7 @@ class IndependentDevice:
         self._gains = 1 + 1e-3 * self._rng.normal(size=(16, 16))
         self.opened, self.odd = set[int](), list[str]()
         self.then: dict[int, tuple[float, float, float]] | None = None
+        self.touched = set[int]()
         self._clock, self._number, self.hum = 0.0, 0, 0.0
         self._server = socket.create_server(("127.0.0.1", 0))
         self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
@@ -208,6 +210,8 @@ class IndependentDevice:
             volts, told = np.full(len(volts), np.nan if odd == "nan" else 0.0), told * (odd == "nan")
         self._clock += SETTLE * len(source) + CONVERSION * len(volts) + 1e-3
         self._number += 1
+        if self.sheet.touches:
+            self.touched.add(self._number)
         head = struct.pack("<IIQIHH", digest, self._number, int(1e6 * self._clock), 0, len(source), len(volts))
         return head + told.astype("<f4").tobytes() + volts.astype("<f4").tobytes()
 
