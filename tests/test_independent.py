@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from independent_device import IndependentDevice
+from independent_device import ELECTRODES, IndependentDevice
 
 from ohmskin import Engine, Skin
 from ohmskin.calibrate import PressGuide, PressStep
@@ -94,6 +94,29 @@ def test_two_presses_forty_millimetres_apart_are_two(loop: Loop) -> None:
         two = pressed(loop, tuple(middle + half), tuple(middle - half), frames=12)
         assert len(two.contacts) == 2
         assert max(errors(two, tuple(middle + half), tuple(middle - half))) < 10e-3
+
+
+def test_a_press_beside_an_inner_electrode_is_one_and_two_presses_there_are_two() -> None:
+    """Patches short what is under one side of an electrode: 13 presses of 120 had been two."""
+    device, split, told = IndependentDevice(1), 0, 0
+    with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+        engine.calibrate()
+        felt(engine, 20)
+        for number, middle in enumerate(ELECTRODES[12:]):
+            for radius in (3e-3, 5e-3, 7e-3, 9e-3, 11e-3):
+                for angle in np.arange(6) * np.pi / 3 + 12.2 + number:
+                    place = middle + radius * np.array([np.cos(angle), np.sin(angle)])
+                    one = pressed((device, engine), tuple(place), frames=5)
+                    assert len(one.contacts) in (1, 2)
+                    assert min(errors(one, tuple(place))) < 7e-3
+                    split += len(one.contacts) - 1
+            for angle in np.arange(5) * np.pi * 2 / 5:
+                along = np.array([np.cos(angle), np.sin(angle)])
+                two = pressed((device, engine), tuple(middle - 6e-3 * along), tuple(middle + 14e-3 * along), frames=5)
+                told += len(two.contacts) == 2
+    device.close()
+    assert split <= 6
+    assert told >= 16
 
 
 def test_a_slide_leaves_nothing_behind(loop: Loop) -> None:

@@ -11,23 +11,26 @@ from typing import Self
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints, changed
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import kernels, refit
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
-from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
+from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing, similarity_prior
 from ohmskin.forward import ContactTable
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
-_ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that may be one
 NEAR = 4.0  # radii, within which two contacts may be one
 APART = 1.15  # of the sum of their radii, from which on no shape of one contact looks like two
 _SIZES = 0.7, 1.0, 1.6  # usual radii, from which the fit of one contact in place of two starts
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 _SAME = 1.2  # times what is left of one frame's data which the next one may leave if it is to show the same
+_BESIDE = 2.0  # usual radii within which two contacts may be one beside an electrode
+_REACH = 1.5  # usual radii within which a contact is beside an electrode
+_MOVES = 0.5  # share of a contact's effect that may lie on either side of it (deviation)
+_AS_WELL = 1.25  # times what two contacts leave which one may leave there to explain as much
 _ALTERED = 2.0  # times the effect that a contact then may have
 cost_of = attrgetter("cost")
 Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
@@ -159,7 +162,8 @@ class DiscFitter:
 
         Two that are taken for ones so close are the patches under one press. Patches over an electrode reach beyond it,
         on one side further than on the other. No disc does that, but two do, one on each side: over an electrode, what
-        the model gets wrong of one contact looks like two.
+        the model gets wrong of one contact looks like two. Patches beside it short what is under a side of it, as if it
+        had moved; beside an electrode that has, one contact may explain as much as two do.
 
         Args:
             whole: What is measured, and the same with the model's error as noise.
@@ -169,20 +173,47 @@ class DiscFitter:
         ends = np.argwhere(np.triu(np.ones((len(found.params),) * 2, bool), 1))
         for both in sorted(ends, key=lambda both: self._distance(found.params[both])):
             pair, others = found.params[both], np.delete(found.params, both, axis=0)
-            alike = pair[0, 2] * pair[1, 2] > 0
-            close = alike and float(np.linalg.norm(self.table.offsets(*pair[:, :2]))) < self.table.radius
-            if not close and (self._distance(pair) > APART or not {*self.covered(pair)} & {*covered}):
-                continue
-            share = abs(pair[1, 2]) / np.abs(pair[:, 2]).sum()
-            middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
-            squares = ((size * self.table.radius) ** 2 for size in _SIZES)
-            starts = np.array([np.vstack([others, [*middle, pair[:, 2].sum(), square]]) for square in squares])
-            usual, left = (self.uncovered(one, covered) for one in self.beside_shapes(whole, starts[0]))
-            one = self.refine(left, starts, *self.prior(starts[0]))
-            cost = self._left_by(self.uncovered(whole[1], covered), one)
-            if {*covered} <= {*self.covered(one.params)} and (close or not self.poor(usual, cost)):
-                return self.joined(whole, one, covered)
+            alike, gap = pair[0, 2] * pair[1, 2] > 0, float(np.linalg.norm(self.table.offsets(*pair[:, :2])))
+            close = alike and gap < self.table.radius
+            if close or (self._distance(pair) <= APART and {*self.covered(pair)} & {*covered}):
+                one, left = self._in_place_of(pair, others, whole, covered)
+                if {*covered} <= {*self.covered(one.params)} and (close or left <= 1):
+                    return self.joined(whole, one, covered)
+            elif alike and gap < _BESIDE * self.table.radius:
+                for number in self._near(pair):
+                    one, left = self._in_place_of(pair, others, whole, (*covered, number), number)
+                    if left <= 1 and one.cost < _AS_WELL * found.cost:
+                        return self.joined(whole, one, covered)
         return found
+
+    def _near(self, params: Floats) -> list[int]:
+        """The electrodes beside or under contacts (n, 4)."""
+        away = (self.table.offsets(self.table.electrodes[:, None], params[:, :2]) ** 2).sum(axis=2)
+        return list(np.flatnonzero((away < (_REACH * self.table.radius) ** 2).any(axis=1)).tolist())
+
+    def _in_place_of(
+        self, pair: Floats, others: Floats, whole: Both, unknown: tuple[int, ...], moved: int | None = None
+    ) -> tuple[Solution, float]:
+        """One contact in place of two (2, 4) beside `others` (n, 4), and how many times more than usual it leaves.
+
+        Nothing is taken to be known of `unknown` electrodes' resistances; that contact may have `moved` an electrode.
+        """
+        share, together = abs(pair[1, 2]) / np.abs(pair[:, 2]).sum(), pair[:, 2].sum()
+        middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
+        squares = ((size * self.table.radius) ** 2 for size in _SIZES)
+        starts = np.array([np.vstack([others, [*middle, together, square]]) for square in squares])
+        if moved is not None:
+            ways = _MOVES * together * self._moves(moved)
+            whole = whole[0].marginalised(ways), whole[1].marginalised(ways)
+        usual, data = (self.uncovered(one, unknown) for one in self.beside_shapes(whole, starts[0]))
+        one = self.refine(data, starts, *self.prior(starts[0]))
+        return one, self.relative_cost(usual, self._left_by(self.uncovered(whole[1], unknown), one))
+
+    def _moves(self, electrode: int) -> Floats:
+        """What a contact's effect of 1 m2 on one side of an electrode rather than on the other changes (n_pairs, 2)."""
+        sides = self.table.radius * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+        changes = self.table(self.onto(self.table.electrodes[electrode] + sides)).values
+        return np.asarray((changes[::2] - changes[1::2]).T / 2)
 
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
@@ -314,11 +345,3 @@ class DiscFitter:
         """The contacts of a fit, strongest first."""
         listed = [self.contact(*one) for one in zip(found.params, found.covariances, strict=True)]
         return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
-
-
-def similarity_prior(count: int, both: Ints, together: float) -> Floats:
-    """Information (4 n, 4 n) about so many contacts: two of them, `both`, have about half of an effect `together` (m2)
-    each."""
-    apart = np.zeros((count, PER_CONTACT))
-    apart[both, 2] = np.array([1, -1]) / (_ALIKE * together)
-    return np.outer(apart, apart)

@@ -13,12 +13,12 @@ from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import refit
-from ohmskin.contacts.discs import APART, NEAR, Both, DiscFitter, cost_of, similarity_prior
+from ohmskin.contacts.discs import APART, NEAR, Both, DiscFitter, cost_of
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import pair_products
 from ohmskin.contacts.refit import CLEAR, HALF, PROMISED, VALID
-from ohmskin.contacts.solution import Solution, effect_std, nothing
+from ohmskin.contacts.solution import Solution, effect_std, nothing, similarity_prior
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share

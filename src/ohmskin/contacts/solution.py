@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 
 PER_CONTACT = 4  # x, y, effect, squared radius
+_ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that may be one
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,3 +90,11 @@ def effect_std(covariance: Floats) -> float:
     From their covariance (4, 4). Where the place is unknown, the effect is less certain, but not whether it is zero.
     """
     return float(1 / np.sqrt(inverse(np.ascontiguousarray(covariance))[2, 2]))
+
+
+def similarity_prior(count: int, both: Ints, together: float) -> Floats:
+    """Information (4 n, 4 n) about so many contacts: two of them, `both`, have about half of an effect `together` (m2)
+    each."""
+    apart = np.zeros((count, PER_CONTACT))
+    apart[both, 2] = np.array([1, -1]) / (_ALIKE * together)
+    return np.outer(apart, apart)
