@@ -29,8 +29,8 @@ _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 _SAME = 1.2  # times what is left of one frame's data which the next one may leave if it is to show the same
 _BESIDE = 2.0  # usual radii within which two contacts may be one beside an electrode
 _REACH = 1.5  # usual radii within which a contact is beside an electrode
-_MOVES = 0.5  # share of a contact's effect that may lie on either side of it (deviation)
-_AS_WELL = 1.25  # times what two contacts leave which one may leave there to explain as much
+_MOVES = 10.0  # times the model's error: share of a contact's effect that may lie on one side of it (deviation)
+_AS_WELL = 0.25  # share by which one contact may leave more there than two, where the model's error is what they leave
 _ALTERED = 2.0  # times the effect that a contact then may have
 cost_of = attrgetter("cost")
 Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
@@ -180,9 +180,10 @@ class DiscFitter:
                 if {*covered} <= {*self.covered(one.params)} and (close or left <= 1):
                     return self.joined(whole, one, covered)
             elif alike and gap < _BESIDE * self.table.radius:
+                limit = (1 + _AS_WELL * (1 - self.allowance(whole[0]))) * found.cost
                 for number in self._near(pair):
                     one, left = self._in_place_of(pair, others, whole, (*covered, number), number)
-                    if left <= 1 and one.cost < _AS_WELL * found.cost:
+                    if left <= 1 and one.cost < limit:
                         return self.joined(whole, one, covered)
         return found
 
@@ -203,7 +204,7 @@ class DiscFitter:
         squares = ((size * self.table.radius) ** 2 for size in _SIZES)
         starts = np.array([np.vstack([others, [*middle, together, square]]) for square in squares])
         if moved is not None:
-            ways = _MOVES * together * self._moves(moved)
+            ways = _MOVES * self.model_error * together * self._moves(moved)
             whole = whole[0].marginalised(ways), whole[1].marginalised(ways)
         usual, data = (self.uncovered(one, unknown) for one in self.beside_shapes(whole, starts[0]))
         one = self.refine(data, starts, *self.prior(starts[0]))
