@@ -405,6 +405,8 @@ def test_newtons_and_gestures_of_a_doubtful_contact_look_doubtful_and_are_unknow
     force, count = page.get_by_role("cell", name="1.2 ±0.2"), page.locator("#contact-count")
     expect(force).to_be_visible()
     expect(count).to_have_text("1 · push 97 %")
+    touched.header["total_force"] = 3.46
+    expect(count).to_have_text("1 · push 97 % · 3.5 N in all")
     colours = "([one, other]) => [one, other].map((id) => getComputedStyle(document.querySelector(id)).color)"
     places = ["#contacts tbody td.force", "#contact-count"]
     usual = page.evaluate(colours, places)

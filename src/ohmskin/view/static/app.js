@@ -273,10 +273,10 @@ function showText(now) {
   controls.showHeader(header);
   transport.showHeader(header);
   controls.showRange(range);
-  showFigures(notice.unknown ? {} : header);
-  const contacts = notice.unknown ? [] : (header.contacts ?? []);
-  showContacts(contacts, notice.unknown ? "Unknown" : "No contact", notice.unknown ? null : header.gesture);
-  const findings = notice.unknown ? [] : (header.findings ?? []);
+  const known = notice.unknown ? {} : header;
+  const { contacts = [], findings = [], gesture, total_force: total } = known;
+  showFigures(known);
+  showContacts(contacts, notice.unknown ? "Unknown" : "No contact", gesture, total);
   showFindings(findings);
   guide.update(now / 1000, header, contacts, Boolean(notice.unknown));
   past.add(now / 1000, contacts, Boolean(notice.unknown), findings.length > 0);

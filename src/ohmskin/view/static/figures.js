@@ -53,9 +53,9 @@ export function showProgress(share) {
 
 /**
  * Rows of the contact table, by id, are kept and refilled, so that nothing flickers and selections survive; `none`
- * stands there if it is empty.
+ * stands there if it is empty. Beside their number stand the gesture and the force of all (N), where these are known.
  */
-export function showContacts(contacts, none, gesture) {
+export function showContacts(contacts, none, gesture, total) {
   const body = byId("contacts").tBodies[0];
   while (body.rows.length > contacts.length) body.deleteRow(-1);
   while (body.rows.length < contacts.length) addRow(body);
@@ -85,7 +85,8 @@ export function showContacts(contacts, none, gesture) {
   byId("no-contacts").textContent = none;
   const told = gesture && gesture.name !== "unknown";
   const doing = told ? `${gesture.name} ${Math.round(100 * gesture.confidence)} %` : "";
-  byId("contact-count").textContent = [contacts.length || "", doing].filter(Boolean).join(" · ");
+  const together = Number.isFinite(total) && contacts.length ? `${number(total, 1)} N in all` : "";
+  byId("contact-count").textContent = [contacts.length || "", doing, together].filter(Boolean).join(" · ");
   byId("contact-count").dataset.doubtful = told && (doubtful(gesture) || contacts.some(doubtful));
 }
 
