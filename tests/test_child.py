@@ -1,5 +1,6 @@
 """Child processes: they tell, they end with us, and a start that fails leaves nothing behind."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -52,6 +53,15 @@ def test_a_start_that_fails_says_why_and_leaves_nothing_behind(code: str, says: 
         child(code, {}).ready(0.5 if "sleep" in code else 60.0, PublishError)
     assert children() == before
     assert threading.active_count() == threads
+
+
+def test_ctrl_c_is_not_for_a_child_which_can_give_way_all_the_same() -> None:
+    started = child(ECHO, {})
+    try:
+        assert os.getpgid(started.process.pid) == started.process.pid  # a terminal interrupts a group
+        assert os.getsid(started.process.pid) == os.getsid(0)  # Linux holds niceness against others of a session only
+    finally:
+        started.close()
 
 
 def test_a_child_that_does_not_listen_is_killed() -> None:

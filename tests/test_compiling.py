@@ -7,14 +7,20 @@ import shutil
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
 from waiting import until
 
-from ohmskin.compiler import compiling
+import ohmskin
+from ohmskin.compiler import Interpreted, compiling
+from ohmskin.contacts import refit, solution
+from ohmskin.engine.functions import INTERPRETED
 
 LOOP = """if True:
     from direct import DirectDevice
@@ -125,11 +131,39 @@ def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
 
 
 def test_nothing_is_left_to_compile_in_the_mode_that_stands_in_while_the_default_one_is_compiled() -> None:
-    script = TOUCHED.replace("*_: None)", "*_: None, fits=False)").replace("import sys", "import sys, types", 1)
+    script = TOUCHED.replace("*_: None)", "*_: None, Part.STANDING_IN)").replace("import sys", "import sys, types", 1)
     script = script.replace("sys.argv[1]", "compilation=types.SimpleNamespace(under_way=True)")
+    script = script.replace(
+        "    take_turns()",
+        "    from ohmskin.compiler import Interpreted\n"
+        "    from ohmskin.engine.functions import INTERPRETED, Part\n\n"
+        "    take_turns()\n"
+        "    interpreted = Interpreted(INTERPRETED)",
+    )
     contacts, left, unknown = run(script).stdout.splitlines()
     assert contacts.endswith("2")
     assert (left, unknown) == ("0", "0")
+
+
+def test_what_is_interpreted_for_a_while_no_other_compiled_function_calls() -> None:
+    package = Path(ohmskin.__file__).parent
+    files = [file.relative_to(package.parent) for file in package.rglob("*.py") if "@njit" in file.read_text()]
+    modules = [import_module(".".join(file.with_suffix("").parts)) for file in files]
+    functions = {part for module in modules for part in vars(module).values() if isinstance(part, Dispatcher)}
+    assert len(functions) > 100
+    for function in (one for one in functions if one.__module__ not in INTERPRETED):
+        plain = function.py_func
+        called = [plain.__globals__.get(name) for name in plain.__code__.co_names]
+        names = {f"{one.__module__}.{one.__name__}" for one in called if isinstance(one, Dispatcher)}
+        assert not any(name.startswith(INTERPRETED) for name in names), function
+
+
+def test_what_is_interpreted_for_a_while_is_so_wherever_it_is_known_and_gives_the_same() -> None:
+    compiled, matrix = solution.inverse, np.array([[2.0, 1.0], [1.0, 3.0]])
+    with Interpreted([solution.__name__]):
+        assert solution.inverse is refit.inverse is compiled.py_func
+        np.testing.assert_allclose(solution.inverse(matrix), np.linalg.inv(matrix), rtol=1e-12)
+    assert solution.inverse is refit.inverse is compiled
 
 
 def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:

@@ -9,14 +9,17 @@ from ohmskin.engine.compiling import Compilation
 class Pending(Compilation):
     """One that goes on until it is told to be over."""
 
-    over = False
+    over = closed = False
 
     def __init__(self) -> None:
-        self._child = None
+        pass
 
     @property
     def under_way(self) -> bool:
         return not self.over
+
+    def close(self) -> None:
+        self.closed = True
 
 
 def felt(engine: Engine) -> int:
@@ -34,13 +37,19 @@ def test_another_mode_stands_in_until_the_one_wanted_is_compiled() -> None:
         assert engine.mode.name == "16O"
         virtual.press(1, 0.06, 0.14, 0.01, 8e3)
         assert felt(engine) == 1
+        assert not pending.closed
         pending.over = True
         assert felt(engine) == 1
         assert engine.mode.name == "16P"
+        assert pending.closed
 
 
 def test_a_mode_that_waits_for_nothing_is_not_stood_in_for() -> None:
-    skin = Skin.load("paper")
-    with Engine(lambda: DirectDevice(VirtualSkin(skin)), skin, "12B", compilation=Pending()) as engine:
+    skin, pending = Skin.load("paper"), Pending()
+    with Engine(lambda: DirectDevice(VirtualSkin(skin)), skin, "12B", compilation=pending) as engine:
         engine.calibrate()
         assert engine.mode.name == "12B"
+        pending.over = True
+        engine.step()
+        assert engine.mode.name == "12B"
+        assert pending.closed  # what is compiled is used from now on

@@ -43,7 +43,7 @@ class Child:
             stdout=stdout,
             stderr=stderr,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path), **(environment or {})},
-            start_new_session=True,  # Ctrl-C is ours to handle
+            process_group=0,  # Ctrl-C is ours to handle; of the same session, or its niceness would mean nothing
             bufsize=0,
             pass_fds=pass_fds,
         )

@@ -3,11 +3,14 @@
 What one process has compiled, the others load.
 """
 
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any, BinaryIO
 
 from numba.core import config, event
@@ -15,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from ohmskin.cache import cache_folder
-from ohmskin.closing import every
+from ohmskin.closing import Closing, every
 
 _REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
 _LONGEST, _NAP = 120.0, 0.02  # s for which a turn is waited for, several times what any function takes; between looks
@@ -102,6 +105,33 @@ def loading() -> Iterator[None]:
             yield
     finally:
         _held.remove(_never_wait)
+
+
+class Interpreted(Closing):
+    """What is compiled of some modules is interpreted instead, until this is closed: much slower, but at once.
+
+    Args:
+        modules: Their names; no other module may have compiled functions that call theirs.
+    """
+
+    def __init__(self, modules: Iterable[str]) -> None:
+        parts = [(name, part) for name in modules for part in vars(import_module(name)).values()]
+        self._compiled = {
+            part.py_func: part for name, part in parts if isinstance(part, Dispatcher) and part.__module__ == name
+        }
+        _exchange({compiled: plain for plain, compiled in self._compiled.items()})
+
+    def close(self) -> None:
+        """Take what is compiled again. Safe to call twice."""
+        _exchange(self._compiled)
+
+
+def _exchange(functions: Mapping[object, object]) -> None:
+    """Replace functions wherever a module of ours has them."""
+    for module in [module for name, module in list(sys.modules.items()) if name.startswith("ohmskin")]:
+        for name, part in list(vars(module).items()):
+            if isinstance(part, Dispatcher | FunctionType) and part in functions:
+                setattr(module, name, functions[part])
 
 
 @cache

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, wraps
-from importlib.metadata import EntryPoint, entry_points
+from importlib import metadata
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, TypeVar, cast
@@ -142,7 +143,7 @@ class Registry(Mapping[str, T], Generic[T]):
     @property
     def offered(self) -> tuple[EntryPoint, ...]:
         """What other packages register."""
-        return _offered(entry_points, self.group)
+        return tuple(entry_points(self.group))
 
     def _checked(self, plugin: Plugin) -> Callable[..., Any]:
         """What a plug-in registers; called, it raises an error that names the plug-in where that fails."""
@@ -163,6 +164,11 @@ class Registry(Mapping[str, T], Generic[T]):
         return called
 
 
+def entry_points(group: str) -> Iterable[EntryPoint]:
+    """Those of a group, of all installed packages."""
+    return cast(Iterable[EntryPoint], _installed().select(group=group))
+
+
 @cache  # finding them takes 30 ms
-def _offered(find: Callable[..., Iterable[EntryPoint]], group: str) -> tuple[EntryPoint, ...]:
-    return tuple(find(group=group))
+def _installed() -> Any:  # what it is depends on the version of Python
+    return metadata.entry_points()

@@ -18,6 +18,7 @@ from ohmskin.device import Device, connect
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine, State
 from ohmskin.engine.compiling import compile_ahead
+from ohmskin.engine.functions import Part
 from ohmskin.engine.quiet import CalibrationReport
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.outlets.commands import CommandServer
@@ -41,8 +42,8 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     """
     skin, device = Skin.parse(settings["skin"]), settings["device"]
     (patch,) = patches_from({"patches": [settings["patch"]]})
-    fits = mode_named(skin, settings["mode"]).reader != "centroid"
-    ahead = partial(compile_ahead, lambda sentence, _: answer(message=sentence), fits)
+    part = Part.WITHOUT_FITS if mode_named(skin, settings["mode"]).reader == "centroid" else Part.ALL
+    ahead = partial(compile_ahead, lambda sentence, _: answer(message=sentence), part)
 
     def opened() -> Device:
         if device == "virtual:":

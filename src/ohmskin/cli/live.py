@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -33,9 +34,10 @@ from ohmskin.cli.options import (
 )
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
+from ohmskin.closing import Closing
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.quiet import CalibrationReport
-from ohmskin.errors import DeviceLost
+from ohmskin.errors import DeviceLost, ViewError
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.view.live import LiveView
@@ -86,13 +88,8 @@ def live(
     notify = lines.notify if json else say
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
-        view, starting = None, lambda *_: None
-        if not (headless or json):
-            view = stack.enter_context(LiveView(None, *page.address))
-            starting = view.starting
-            if view.port_was_taken:
-                say(f"port {page.port} is in use; taking the next free one")
-            page.open(view.url)
+        opening = None if headless or json else stack.enter_context(_Opening(page))
+        starting = opening.starting if opening else lambda *_: None
         loop = stack.enter_context(
             open_loop(
                 device, skin, mode, imaging, notify, record, quiet=True, out=out, starting=starting, at_once=not publish
@@ -109,14 +106,14 @@ def live(
             loop.sinks.append(lambda touch: server.poll())
             loop.lost.extend([publisher.lost, server.poll])
             notify(f"publishing at {', '.join(publisher.addresses)}")
-        if view is None:
+        if opening is None:
             notify(f"{engine.mode.label}; {calibrating(device)}")
             with suppress(DeviceLost):  # the loop reconnects
                 engine.calibrate(report)
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
-        with PageSession(engine, device, view, demo) as session:
+        with PageSession(engine, device, opening.view, demo) as session:
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; {calibrating(device)}")
@@ -125,6 +122,40 @@ def live(
             commands["tare"] = session.calibrate
             loop.sinks.append(_Arrivals())
             loop.run(stop, seconds, session.step)
+
+
+class _Opening(Closing):
+    """A page that opens in a thread, so that the device starts meanwhile."""
+
+    def __init__(self, page: Page) -> None:
+        self._said: tuple[str, float | None] = "starting", None
+        self._pool = ThreadPoolExecutor(1)
+        self._view = self._pool.submit(self._open, page)
+
+    def _open(self, page: Page) -> LiveView:
+        view = LiveView(None, *page.address)
+        if view.port_was_taken:
+            say(f"port {page.port} is in use; taking the next free one")
+        page.open(view.url)
+        view.starting(*self._said)
+        return view
+
+    @property
+    def view(self) -> LiveView:
+        """The page; awaited."""
+        return self._view.result()
+
+    def starting(self, words: str, share: float | None) -> None:
+        """Show what is done before there is a loop, and which share of it."""
+        self._said = words, share
+        if self._view.done():
+            self.view.starting(words, share)
+
+    def close(self) -> None:
+        """Close the page. Safe to call twice."""
+        with suppress(ViewError):  # it has been told
+            self.view.close()
+        self._pool.shutdown()
 
 
 class _Arrivals:

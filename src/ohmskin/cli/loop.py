@@ -26,8 +26,10 @@ from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
-from ohmskin.engine.compiling import Compilation, compile_ahead, prepare
+from ohmskin.engine.compiling import Compilation, compile_ahead
+from ohmskin.engine.functions import Part
 from ohmskin.engine.quiet import CalibrationReport
+from ohmskin.engine.tables import prepare
 from ohmskin.errors import DeviceLost, OhmskinError
 from ohmskin.mcap import Progress
 from ohmskin.recording.player import Player
@@ -142,9 +144,9 @@ def open_loop(
 
     def meanwhile(description: Skin) -> None:
         if apart:
-            compilations.append(stack.enter_context(Compilation()))
+            compilations.append(stack.enter_context(Compilation(description)))
             if compilations[0].under_way:
-                compile_ahead(starting, fits=False)
+                compile_ahead(starting, Part.STANDING_IN)
         elif mode_named(description, mode).reader != "centroid":
             compile_ahead(starting)
         starting("starting the virtual skin", None)
@@ -180,7 +182,7 @@ def open_loop(
                 raise
             stack.push(summarise)
         if apart and not compilations and not isinstance(opened, ReplayDevice):
-            compilations.append(stack.enter_context(Compilation()))
+            compilations.append(stack.enter_context(Compilation(description)))
         engine = stack.enter_context(Engine(open_device, description, mode, report, *compilations, **asdict(imaging)))
         if recorder:
             recorder.watch(engine)

@@ -1,5 +1,6 @@
 """The sensors of an engine's modes, each made when it is first asked for, and the mode that stands in for another."""
 
+import time
 from collections.abc import Callable, Mapping
 
 from ohmskin.device import Capabilities
@@ -8,6 +9,8 @@ from ohmskin.engine.compiling import Compilation
 from ohmskin.errors import PatternError
 from ohmskin.sensing import Sensor, SkinModel, build
 from ohmskin.skin import Mode
+
+_GIVE_WAY = 0.02  # s a frame, which leaves 30 of them a second
 
 
 class Sensors:
@@ -87,11 +90,16 @@ class Sensors:
         return next((one for one in plain if one.drive == "eq7"), plain[0])
 
     def due(self) -> str:
-        """Name of the mode that was awaited and can begin now; empty if none can."""
-        if not self.awaited or self._compiling:
+        """Name of the mode that was awaited and can begin now; empty if none can, and what compiles gets time."""
+        if self._compilation is None:
             return ""
-        name, self.awaited = self.awaited, ""
+        if self._compiling:
+            time.sleep(_GIVE_WAY)
+            return ""
+        self._compilation.close()
+        self._compilation = None
         self._sensors.clear()  # those built meanwhile are the slow ones
+        name, self.awaited = self.awaited, ""
         return name
 
     @property
