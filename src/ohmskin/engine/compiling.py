@@ -34,15 +34,16 @@ class Compilation(Closing):
     """
 
     def __init__(self, skin: Skin) -> None:
-        self._parts = ExitStack()
         self._children = list[Child]()
-        if not _loaded():
-            self._parts.enter_context(Interpreted(INTERPRETED))
-            for first, prepared in zip(HALVES, (skin.dump(), ""), strict=True):
-                settings = {"first": first, "skin": prepared}
-                child = Child.module("ohmskin.engine.process", "a compiling process", settings)
-                self._children.append(child)
-                self._parts.callback(child.close, 0.0)
+        with ExitStack() as parts:
+            if not _loaded():
+                parts.enter_context(Interpreted(INTERPRETED))
+                for first, prepared in zip(HALVES, (skin.dump(), ""), strict=True):
+                    settings = {"first": first, "skin": prepared}
+                    child = Child.module("ohmskin.engine.process", "a compiling process", settings)
+                    self._children.append(child)
+                    parts.callback(child.close, 0.0)
+            self._parts = parts.pop_all()
 
     @property
     def under_way(self) -> bool:
