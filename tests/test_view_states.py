@@ -527,8 +527,9 @@ def test_a_notice_is_whole_and_stands_in_the_middle_of_its_line(
 ) -> None:
     touched.header = {"state": "running", "demo": False, "mode": "16T", **AS_USUAL}
     told = "electrode 6: open: almost no current flows when it is driven; check its wire; left out"
-    touched.header["message"] = "; ".join([told] * times)
+    touched.header["message"] = message = "; ".join([told] * times)
     reader = Reader(chromium, touched, viewport={"width": width, "height": 800})
+    expect(reader.page.locator("#notice")).to_have_text(f"E{message[1:]}.")  # not that of a frame before
     expect(reader.page.locator("#notice")).to_have_attribute("data-kind", "warn")
     above, below, rows = reader.page.evaluate(
         """() => {
