@@ -144,6 +144,14 @@ def test_a_run_writes_what_it_measured(tmp_path) -> None:  # type: ignore[no-unt
         write_report(found, tmp_path / "file", quick=True)
 
 
+def test_a_start_is_measured_to_the_first_contact() -> None:
+    ((*commands, contact),) = dict(run(quick=True, only=("start",))).values()
+    assert [figure.unit for figure in (*commands, contact)] == ["s"] * 3
+    assert contact.name == "`ohmskin live` to the first contact, as this machine is"
+    assert contact.value is not None
+    assert contact.value > max(figure.value for figure in commands)  # which import less, and sense nothing
+
+
 def test_a_killed_benchmark_keeps_the_parts_it_measured(tmp_path: Path) -> None:
     code = """if True:
         import os, sys

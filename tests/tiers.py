@@ -192,6 +192,7 @@ LONG = {
     "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",
     "test_robot.py::test_skin_of_another_shape": "the paper's skin",
     "test_scale.py::test_with_many_electrodes": "the same with sixteen",
+    "test_scale.py::test_a_start_is": "that the loop's commands start, and what they feel",
     "test_screens.py::test_states": "the states of the page in test_view_states.py",
     "test_segments.py::test_noise_makes": "noise of single frames in the same file",
     "test_self_test.py::test_the_command_says_so": "the self-test that the command calls",

@@ -1,7 +1,5 @@
 """The figures of the benchmark, in groups that can be run by themselves."""
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from time import perf_counter
@@ -18,6 +16,7 @@ from ohmskin.bench.fits import fitting
 from ohmskin.bench.frames import accuracy, changing, framing
 from ohmskin.bench.growth import bigger
 from ohmskin.bench.live import living
+from ohmskin.bench.starts import starting
 from ohmskin.bench.tasks import apart
 from ohmskin.bench.together import together
 from ohmskin.errors import OhmskinError
@@ -158,40 +157,6 @@ def scaling(effort: Effort) -> Iterator[Figure]:
     peak = found[int(n[-1])]["peak"] / 1024
     most = None if effort.quick else 4.0
     yield Figure(f"peak memory at {n[-1]:,} triangles and 16 electrodes", peak, "GiB", most=most, note="whole process")
-
-
-def starting(effort: Effort) -> Iterator[Figure]:
-    """Start-up, wall clock of whole processes."""
-    commands = {
-        "`ohmskin --help`": (["-m", "ohmskin", "--help"], 0.3),
-        "`import ohmskin`": (["-c", "import ohmskin"], 0.5),
-    }
-    for name, (arguments, most) in commands.items():
-        start = partial(subprocess.run, [sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
-        spent = [seconds_of(start, clock=perf_counter) for _ in range(7)]
-        yield Figure.median(name, np.array(spent[1:]), "s", most=most, note="wall clock, the first run left out")
-    yield _page()
-
-
-def _page() -> Figure:
-    """Seconds from `ohmskin live` to its page, once everything is compiled."""
-    from urllib.request import urlopen
-
-    spent = []
-    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", "8973", "--seconds", "1"]
-    for _ in range(2):
-        start = perf_counter()
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            address = next((line.split()[1] for line in process.stdout if line.startswith("open ")), None)
-            if address is None:
-                return Figure("`ohmskin live` to its page, second start", None, "s", most=5, note="no address")
-            with urlopen(address, timeout=60) as page:
-                page.read()
-            spent.append(perf_counter() - start)
-            process.stdout.read()
-    note = f"wall clock; first start {spent[0]:.1f} s"
-    return Figure("`ohmskin live` to its page, second start", spent[1], "s", most=5, note=note)
 
 
 GROUPS: dict[str, Group] = {

@@ -148,7 +148,8 @@ def open_loop(
             if compilations[0].under_way:
                 compile_ahead(starting, Part.STANDING_IN)
         elif mode_named(description, mode).reader != "centroid":
-            compile_ahead(starting)
+            with Compilation():
+                compile_ahead(starting)
         starting("starting the virtual skin", None)
         if not any(one.under_way for one in compilations):
             prepare(description, mode)

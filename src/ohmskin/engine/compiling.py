@@ -28,17 +28,22 @@ def compile_ahead(report: Callable[[str, float], None], part: Part = Part.ALL) -
 
 
 class Compilation(Closing):
-    """Compiles what a loop waits for, in two processes of its own; nothing if all was compiled before.
+    """Compiles what a loop waits for in processes of its own; in none if all was compiled before.
 
-    One of them prepares the default mode of the skin, too. Until it is closed, fits are interpreted in this process.
+    Args:
+        skin: Of a loop that runs meanwhile, in which fits are interpreted until this is closed; the tables of its
+            default mode are made, too. None: this process compiles the same, and has half of it compiled.
     """
 
-    def __init__(self, skin: Skin) -> None:
+    def __init__(self, skin: Skin | None = None) -> None:
         self._children = list[Child]()
         with ExitStack() as parts:
             if not _loaded():
-                parts.enter_context(Interpreted(INTERPRETED))
-                for first, prepared in zip(HALVES, (skin.dump(), ""), strict=True):
+                begun = {HALVES[1]: ""}
+                if skin:
+                    parts.enter_context(Interpreted(INTERPRETED))
+                    begun[HALVES[0]] = skin.dump()
+                for first, prepared in begun.items():
                     settings = {"first": first, "skin": prepared}
                     child = Child.module("ohmskin.engine.process", "a compiling process", settings)
                     self._children.append(child)

@@ -42,8 +42,11 @@ class Part(Enum):
 
 
 def compile_functions(part: Part = Part.ALL, first: str = "") -> None:
-    """Compile, or load, what a loop calls, beginning with what has a name that begins with `first`."""
-    for name, arguments in sorted(chosen(part), key=lambda one: not one[0].startswith(first)):
+    """Compile, or load, what a loop calls: what has a name that begins with `first`, what another process does not
+    begin with, and the rest."""
+    for name, arguments in sorted(
+        chosen(part), key=lambda one: (not one[0].startswith(first), one[0].startswith(HALVES[1]))
+    ):
         module, _, function = name.partition(":")
         with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
             getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
