@@ -10,7 +10,7 @@ from ohmskin.errors import PatternError
 from ohmskin.sensing import Sensor, SkinModel, build
 from ohmskin.skin import Mode
 
-_GIVE_WAY = 0.02  # s a frame, which leaves 30 of them a second
+_GIVE_WAY = 0.02  # s a frame, which leaves some 20 of them a second
 
 
 class Sensors:
