@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import psutil
@@ -30,9 +30,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from ohmskin.body import Body
-from ohmskin.body.body import axes
+from ohmskin.body.body import PlacedSkin, axes
 from ohmskin.body.patch import sense
-from ohmskin.body.patches import Merger
+from ohmskin.body.patches import Merger, Patches
 from ohmskin.body.robot import Robot
 from ohmskin.client import Board, Client, Patch, PatchState, PlacedContact
 from ohmskin.client.contacts import LARGEST, merged, pack
@@ -256,6 +256,46 @@ def test_a_board_of_something_else_under_the_name_of_a_patch_is_passed_over() ->
     merger.close()
 
 
+class Quiet:
+    """A patch without a process, that speaks when it is told to."""
+
+    given: ClassVar[list[tuple[Any, ...]]] = []
+
+    def __init__(self, placed: PlacedSkin, name: str, demo: bool, images: float, news: int, report: object) -> None:
+        self.given.append((name, images, news))
+
+    def poll(self) -> None:
+        pass
+
+    stop = poll
+
+    def close(self, timeout: float) -> None:
+        pass
+
+
+def test_new_contacts_end_the_wait_for_them_and_images_come_as_often_as_somebody_looks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.body.patches.PatchProcess", Quiet)
+    monkeypatch.setattr("ohmskin.body.patches._WAIT", 3600.0)  # who is not told waits until the test is given up
+    body = Body.load(write(tmp_path))
+    front = body.patches[0].patch
+    for shown, images in ((False, 10.0), (True, 30.0)):
+        Quiet.given.clear()
+        with Patches(body, shown=shown) as patches:
+            with Board("torso.front", {"patches": [asdict(front)]}, LARGEST) as board:
+                assert {every for _, every, _ in Quiet.given} == {images}
+
+                def speak_soon(board: Board = board, news: int = Quiet.given[0][2]) -> None:
+                    time.sleep(0.1)
+                    speak(board, front, 1, 1)
+                    os.write(news, b".")
+
+                threading.Thread(target=speak_soon).start()
+                heard = until(patches.step)
+            assert [contact.patch for contact in heard.contacts] == ["front"]
+
+
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 RASTER = {"x0": 0.05, "y0": 0.05, "pitch": 0.1, "nx": 2, "ny": 2}
@@ -434,7 +474,9 @@ def test_how_far_the_calibration_of_a_patch_is_is_told(monkeypatch: pytest.Monke
 
     patch = asdict(Patch("front", "base"))
     settings = {"device": "virtual:", "skin": skin.dump(), "mode": "12B", "patch": patch, "name": "torso.front"}
-    sense({**settings, "demo": False, "images": 10.0}, answer, stop)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    sense({**settings, "demo": False, "images": 10.0, "news": nowhere}, answer, stop)
+    os.close(nowhere)
     assert any(re.fullmatch(r"calibrating: 50% measured, about \d+ s left", message) for message in told)
 
 

@@ -60,9 +60,11 @@ class Child:
                 raise
 
     @classmethod
-    def module(cls, module: str, name: str, settings: Mapping[str, Any], **environment: str) -> Self:
+    def module(
+        cls, module: str, name: str, settings: Mapping[str, Any], pass_fds: Sequence[int] = (), **environment: str
+    ) -> Self:
         """A module of ours, whose `main` begins with `begin`."""
-        return cls([sys.executable, "-P", "-m", module], name, settings, environment)
+        return cls([sys.executable, "-P", "-m", module], name, settings, environment, pass_fds=pass_fds)
 
     def ready(self, timeout: float, failure: Callable[[str], Exception]) -> dict[str, Any]:
         """Its first answer, awaited for `timeout` seconds at most.

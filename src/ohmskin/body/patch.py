@@ -4,9 +4,11 @@
 """
 
 import gc
+import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -35,8 +37,8 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     """Sense with one patch until it is stopped; when the device cannot be reached, say so and try again.
 
     Args:
-        settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, and whether
-            a demonstration finger presses it (`demo`).
+        settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, whether a
+            demonstration finger presses it (`demo`), and a pipe that gets a byte whenever there is `news`.
         answer: Takes how it goes, by keyword.
         stop: Set to end.
     """
@@ -60,7 +62,8 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
                 with Engine(opened, skin, settings["mode"], lambda text: answer(message=text)) as engine:
                     commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
                     with CommandServer(settings["name"], commands) as server:
-                        _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)
+                        pressed = skin if settings["demo"] else None
+                        _run(engine, publisher, settings["news"], server, address, pressed, answer, stop)
             except DeviceError as error:
                 answer(state="lost", message=str(error))
                 publisher.lost(str(error))
@@ -70,6 +73,7 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
 def _run(
     engine: Engine,
     publisher: Publisher,
+    news: int,
     server: CommandServer,
     address: Board,
     pressed: Skin | None,
@@ -96,6 +100,8 @@ def _run(
         touch = engine.step()
         if touch is not None:
             publisher.publish(touch)
+            with suppress(OSError):  # it is full: there is much to read still
+                os.write(news, b".")
             server.poll()
         elif engine.state is State.LOST:
             publisher.lost(engine.message)

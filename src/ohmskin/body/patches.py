@@ -1,6 +1,8 @@
 """All patches of a robot: a process for each, and one stream of contacts in the robot's frames."""
 
 import json
+import os
+import select
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -33,9 +35,9 @@ from ohmskin.outlets.relay import RelayProcess
 
 _RESTART_AFTER = 1.0
 _STOP_TIMEOUT = 3.0  # s, for all of them together
-_NAP = 0.0005
+_WAIT, _WAIT_REPLAYING = 5e-3, 5e-4  # s for new contacts, before joint states are looked at, or what is due in a replay
 _LOOK_EVERY = 0.1  # s between two looks at whether processes have ended
-_IMAGES = 30.0  # on boards, per second: as many as pages draw
+_DRAWN = 30.0  # images per second that a page draws
 
 
 class PatchProcess:
@@ -45,21 +47,26 @@ class PatchProcess:
         placed: The patch.
         name: Its boards.
         demo: Whether a demonstration finger presses a virtual one.
+        images: Most images per second.
+        news: A pipe, to which it writes a byte whenever there is something new on its boards.
         report: Called with every message for the user.
 
     Attributes:
         status: Its last report: state, rate (1/s), p50 and p99 of the latency (s), message.
     """
 
-    def __init__(self, placed: PlacedSkin, name: str, demo: bool, report: Callable[[str], None]) -> None:
-        self._settings = {
+    def __init__(
+        self, placed: PlacedSkin, name: str, demo: bool, images: float, news: int, report: Callable[[str], None]
+    ) -> None:
+        self._settings: dict[str, Any] = {
             "patch": asdict(placed.patch),
             "skin": placed.skin.dump(),
             "device": placed.device,
             "mode": placed.mode,
             "name": name,
             "demo": demo and placed.device == "virtual:",
-            "images": _IMAGES,
+            "images": images,
+            "news": news,
         }
         self._patch, self._report = placed.patch.name, report
         self.status: dict[str, Any] = {}
@@ -90,7 +97,8 @@ class PatchProcess:
     def _start(self) -> None:
         self._again = 0.0
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self._child = Child.module("ohmskin.body.patch", "the patch", self._settings, **threads)
+        news = [self._settings["news"]]
+        self._child = Child.module("ohmskin.body.patch", "the patch", self._settings, news, **threads)
         self._thread = threading.Thread(target=self._listen, args=(self._child.stdout,), daemon=True)
         self._thread.start()
 
@@ -117,7 +125,8 @@ class Patches(Closing):
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
         token: Password for listeners on other machines, where the protocol has passwords.
         demo: Whether a demonstration finger presses each virtual patch.
-        images: Most images per second of each patch at outlets; in shared memory, which pages read, there are up to 30.
+        images: Most images per second of each patch.
+        shown: Whether a page shows them: then there are 30 a second in shared memory, whatever outlets get.
         joints: How joint states are received, ``zenoh`` or ``dds``; from a program that uses `JointStates` unless
             given.
         joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
@@ -139,6 +148,7 @@ class Patches(Closing):
         token: str | None = None,
         demo: bool = False,
         images: float = 10.0,
+        shown: bool = False,
         joints: str = "",
         joint_topic: str = "/joint_states",
         replay: str = "",
@@ -165,9 +175,14 @@ class Patches(Closing):
                 heard = JointsProcess(body.name, body.robot.independent, joints, joint_topic, token)
                 report(f"receiving joint states at {stack.enter_context(heard).address}, {joint_topic}")
             self._replay = stack.enter_context(BodyReplay(body, replay)) if replay else None
+            self._news, news = os.pipe()
+            stack.callback(os.close, self._news)
+            stack.callback(os.close, news)
+            os.set_blocking(news, False)
             stack.callback(self._end_processes)
+            drawn = max(images, _DRAWN) if shown else images
             for placed, board in zip(body.patches, self.boards, strict=True) if not replay else ():
-                self._processes.append(PatchProcess(placed, board, demo, report))
+                self._processes.append(PatchProcess(placed, board, demo, drawn, news, report))
             self._stack = stack.pop_all()
 
     @property
@@ -184,7 +199,7 @@ class Patches(Closing):
         return self._replay is not None and self._replay.ended
 
     def step(self) -> Contacts | None:
-        """Forward new contacts; None, after a sleep of 0.5 ms, if there are none."""
+        """Forward new contacts; None, after a wait for some of 5 ms at most, if there are none."""
         if (now := time.monotonic()) >= self._look_at:
             self._look_at = now + _LOOK_EVERY
             for process in self._processes:
@@ -192,7 +207,8 @@ class Patches(Closing):
         if self._replay is not None:
             self._replay.step()
         if (merged := self._merger.step()) is None:
-            time.sleep(_NAP)
+            if select.select([self._news], [], [], _WAIT if self._replay is None else _WAIT_REPLAYING)[0]:
+                os.read(self._news, 65536)
         else:
             self._relay.wake()
         return merged

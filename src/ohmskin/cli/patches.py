@@ -60,6 +60,7 @@ def patches(
                 outlets,
                 page.token or None,
                 demo,
+                shown=not headless,
                 joints=joints,
                 joint_topic=joint_topic,
                 replay=replay,

@@ -23,8 +23,8 @@ def stiffness(mesh: Mesh, conductivity: Floats, gradients: Floats | None = None)
         gradients: Of the shape functions, in coordinates in which the skin is isotropic; the mesh's unless given.
     """
     indptr, indices, slots = mesh.stencil
-    values = np.zeros(len(indices))
-    fill(slots, mesh.gradients if gradients is None else gradients, conductivity * mesh.measures, values)
+    gradients = mesh.gradients if gradients is None else gradients
+    values = _filled(len(indices), slots, gradients, conductivity * mesh.measures)
     return sp.csc_array((values, indices, indptr), shape=(mesh.n_nodes, mesh.n_nodes))
 
 
@@ -51,9 +51,16 @@ def local_stiffness(gradients: Floats, weights: Floats, elements: Ints) -> tuple
     """
     nodes, at = np.unique(elements, return_inverse=True)
     at, count = at.reshape(elements.shape).astype(np.int32), len(nodes)
-    values = np.zeros(count**2)
-    fill(at[:, :, None] * count + at[:, None, :], gradients, weights, values)
+    values = _filled(count**2, at[:, :, None] * count + at[:, None, :], gradients, weights)
     return nodes, values.reshape(count, count)
+
+
+def _filled(count: int, slots: NDArray[np.int32], gradients: Floats, weights: Floats) -> Floats:
+    """So many values after `fill`."""
+    values, gradients = np.zeros(count), gradients.view()
+    gradients.setflags(write=False)  # as those of a mesh are: of two types, and `fill` would be compiled twice
+    fill(slots, gradients, weights, values)
+    return values
 
 
 @dataclass(frozen=True, eq=False)

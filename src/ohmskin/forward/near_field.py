@@ -2,7 +2,6 @@
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from numpy.typing import NDArray
 
 from ohmskin.arrays import Floats, Ints
@@ -17,6 +16,11 @@ _ALIKE = 1e-9  # m, to which places and sides are the same where patches lie ali
 _MOST_ALIKE = 32  # tables of the logarithm's means, of 0.7 MB each
 _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at
 
+Table = tuple[Ints, Ints, Ints, NDArray[np.int16], Floats]
+"""Contacts (n, n_own) of each of n patches, -1 where it has fewer; the number (n,) of contacts near it, -1 before that
+is known; these contacts (n, n_near); what the mesh misses there of each of its own (n, n_near, n_own), in a unit (n,)
+(ohm)."""
+
 
 class NearField:
     """What a mesh misses of the potentials that contacts of a patch cause at contacts nearby, on a flat sheet."""
@@ -27,14 +31,12 @@ class NearField:
         mesh = model.mesh
         if mesh.nodes.shape[1] != 2:
             raise ModelError("contacts with sizes need a flat sheet; leave sizes")
-        self.model, self.points, self.patches, self.sizes = model, points, patches, sizes
+        self.model, self.points, self.sizes = model, points, sizes
         self._tensors = model.tensors
         self.corners, self.weights = corners, weights
         self._element = mesh.locate(points)[0]
         order = np.argsort(patches, kind="stable")
-        numbers, first = np.unique(patches[order], return_index=True)
-        self._slot = {int(number): slot for slot, number in enumerate(numbers)}
-        own = np.split(order, first[1:])
+        own = np.split(order, np.unique(patches[order], return_index=True)[1][1:])
         self._middles = np.array([points[one].mean(axis=0) for one in own])
         self._half = max(float(np.linalg.norm(points[one] - points[one].mean(axis=0), axis=1).max()) for one in own)
         self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))
@@ -45,45 +47,25 @@ class NearField:
         shape = (mesh.n_nodes, mesh.n_elem)
         self._elements_of = sp.csr_array((np.ones(corner.size), (mesh.elements.ravel(), corner // 3)), shape)
         self._alike: dict[bytes, Floats] = {}
-        self._made: dict[int, tuple[Ints, NDArray[np.int16], float]] = {}  # a quarter of the memory, to 2e-5 of a peak
-        self._table: tuple[Ints, Ints, Floats] | None = None
+        self._table: Table | None = None
 
-    def add_to(self, green: Floats, touching: Ints, numbers: Ints) -> None:
-        """Add it to the potentials (n, n) that contacts `touching` (n,), of patches `numbers`, cause at each other."""
-        row = np.full(len(self.points), -1)
-        row[touching] = np.arange(len(touching))
-        for number in numbers.tolist():
-            near, values, unit = self.of(number)
-            _add(green, unit / 2, values, row[near], row[self._own[self._slot[number]]])
-
-    def of(self, number: int) -> tuple[Ints, NDArray[np.int16], float]:
-        """Of the patch with this number: contacts (n_near,) near it, what the mesh misses there of each of its contacts
-        (n_near, n_own), and the unit of that (ohm)."""
-        return self._kept(self._slot[number])
-
-    def table(self, slots: Ints) -> tuple[Ints, Ints, Floats]:
-        """Contacts of each patch and near it, and what the mesh misses: what `pressed` takes, of `slots` at least."""
+    def table(self, slots: Ints) -> Table:
+        """Contacts of each patch and near it, and what the mesh misses: what `closed` takes, of `slots` at least."""
         if self._table is None:
             own = np.full((len(self._own), max(map(len, self._own))), -1)
             for slot, points in enumerate(self._own):
                 own[slot, : len(points)] = points
             around = self._tree.query_ball_point(self._middles, self._reach, return_length=True)
-            width = int(around.max()) * own.shape[1]
-            self._table = own, np.full((len(own), width), -1), np.zeros((len(own), width, own.shape[1]))
-        own, near, missed = self._table
-        for slot in slots[near[slots, 0] < 0].tolist():
-            points, values, unit = self._kept(slot)
-            near[slot, : len(points)] = points
-            missed[slot, : len(points), : values.shape[1]] = unit * values
+            shape = len(own), int(around.max()) * own.shape[1]  # of which only what is written takes memory
+            missed = np.zeros((*shape, own.shape[1]), np.int16)  # a quarter of the memory, to 2e-5 of a peak
+            self._table = own, np.full(len(own), -1), np.zeros(shape, int), missed, np.zeros(len(own))
+        _, count, near, missed, unit = self._table
+        for slot in slots[count[slots] < 0].tolist():
+            points, values = self._missed(slot)
+            count[slot], near[slot, : len(points)] = len(points), points
+            unit[slot] = float(np.abs(values).max(initial=1e-300)) / np.iinfo(np.int16).max
+            missed[slot, : len(points), : values.shape[1]] = np.rint(values / unit[slot])
         return self._table
-
-    def _kept(self, slot: int) -> tuple[Ints, NDArray[np.int16], float]:
-        """What `_missed` gives, as integers of a unit, made once."""
-        if slot not in self._made:
-            near, values = self._missed(slot)
-            unit = float(np.abs(values).max(initial=1e-300)) / np.iinfo(np.int16).max
-            self._made[slot] = near, np.rint(values / unit).astype(np.int16), unit
-        return self._made[slot]
 
     def _missed(self, slot: int) -> tuple[Ints, Floats]:
         """Contacts (n_near,) near a patch, and what the mesh misses there (n_near, n_own) of the patch's contacts."""
@@ -159,18 +141,3 @@ class NearField:
         for start, normal in mirrors:
             images += [image - 2 * ((image - start) @ normal)[:, None] * normal for image in images]
         return images[1:]
-
-
-@njit(cache=True, nogil=True)
-def _add(green: Floats, unit: float, values: NDArray[np.int16], rows: Ints, columns: Ints) -> None:
-    """Add `values` (n, m), in a unit, at rows (n,) and columns (m,) and the other way round; -1 is nowhere."""
-    for a in range(len(rows)):
-        i = rows[a]
-        if i < 0:
-            continue
-        for b in range(len(columns)):
-            j = columns[b]
-            if j >= 0:
-                value = unit * values[a, b]
-                green[i, j] += value
-                green[j, i] += value

@@ -12,20 +12,22 @@ the area of a contact, with mirror images beyond the rim, less what the mesh mak
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
-from ohmskin.forward.near_field import NearField
-from ohmskin.forward.patch_kernel import pressed
+from ohmskin.forward.near_field import NearField, Table
+from ohmskin.forward.patch_kernel import closed, pressed
 from ohmskin.forward.quadrature import Surface
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry import Mesh
+
+_TOO_COARSE = "the mesh is too coarse for patches so hard pressed; use a finer one"
 
 
 class FloatingPatches:
@@ -69,6 +71,9 @@ class FloatingPatches:
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
         self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
         self.sizes: Floats = _as_rows(0.0 if sizes is None else sizes, len(where))[self.kept]
+        none = np.full((int(self._slots.max()) + 1, 0), -1)
+        missed, zero = np.empty((*none.shape, 0), np.int16), np.zeros(len(none))
+        self._nothing_near: Table = none, zero.astype(int), none, missed, zero
         self._near: NearField | None = None
         if sizes is not None:
             self._near = NearField(model, self.points, self.patches, self.sizes, corners, self._weights)
@@ -116,36 +121,37 @@ class FloatingPatches:
         group, flows = np.zeros(len(touching), int) if groups is None else groups[touching], list[tuple[Ints, Floats]]()
         for one in np.unique(group):
             own = touching[group == one]
-            currents = self._currents(joint, own)
+            currents = self._currents(joint[own], own)
             voltages[group == one] = currents / joint[own, None]
             drop += self._caused[own].T @ currents
+            if groups is None:
+                continue
             nodes, at = np.unique(self._corners[own], return_inverse=True)
             into = np.zeros((len(nodes), currents.shape[1]))
             np.add.at(into, at.reshape(len(own), -1), self._weights[own][:, :, None] * currents[:, None])
             for others, flow in flows:
-                drop -= 2 * into.T @ self.update.green_of(nodes)[np.ix_(nodes, others)] @ flow
+                drop -= 2 * into.T @ self.update.green_among(nodes, others) @ flow
             flows.append((nodes, into))
         return np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2), voltages
 
-    def _currents(self, joint: Floats, touching: Ints) -> Floats:
-        """Currents (n, n_elec) into the contacts that touch, of `joint` conductances (n_points,), for 1 A into each
-        electrode."""
-        numbers, owner = np.unique(self.patches[touching], return_inverse=True)
-        nodes, at = np.unique(self._corners[touching], return_inverse=True)
-        green = _interpolated(self.update.green_among(nodes), at.reshape(len(touching), -1), self._weights[touching])
-        if self._near is not None:
-            self._near.add_to(green, touching, numbers)
-        green[np.diag_indices_from(green)] += 1 / joint[touching]
-        member = np.zeros((len(touching), len(numbers)))
-        member[np.arange(len(touching)), owner] = 1.0
-        caused = self._caused[touching]
+    def _currents(self, conductance: Floats, touching: Ints) -> Floats:
+        """Currents (n, n_elec) into contacts `touching` (n,) of some conductance (n,), for 1 A into each electrode."""
+        system, load = closed(touching, conductance, *self._known(touching))
         try:
-            factor = cho_factor(green, lower=True, overwrite_a=True)
+            factor = cho_factor(system.T, overwrite_a=True, check_finite=False)
         except np.linalg.LinAlgError:
-            raise ModelError("the mesh is too coarse for patches so hard pressed; use a finer one") from None
-        solved = cho_solve(factor, np.hstack([caused, member]))
-        direct, floating = np.split(solved, [caused.shape[1]], axis=1)
+            raise ModelError(_TOO_COARSE) from None
+        n_elec = self._caused.shape[1]
+        solved = cho_solve(factor, load, check_finite=False)
+        direct, floating, member = solved[:, :n_elec], solved[:, n_elec:], load[:, n_elec:]
         return np.asarray(direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct))
+
+    def _known(self, touching: Ints) -> tuple[Any, ...]:
+        """What the kernels take of contacts that touch (n,), from their corners on."""
+        green = self.update.green_of(np.unique(self._corners[touching]))
+        slots = np.unique(self._slots[touching])
+        near = self._nothing_near if self._near is None else self._near.table(slots)
+        return self._corners, self._weights, self._caused, green, self._slots, *near
 
     def prepare(self, patch: int) -> None:
         """Compute what a press on a patch needs, so that the first one there takes no longer than others.
@@ -153,9 +159,7 @@ class FloatingPatches:
         Args:
             patch: Its number, one of `patches`.
         """
-        self.update.green_of(np.unique(self._corners[self.patches == patch]))
-        if self._near is not None:
-            self._near.of(patch)
+        self._known(np.flatnonzero(self.patches == patch))
 
     def many(self, cases: Sequence[tuple[Ints, Floats]]) -> Floats:
         """(n, n_elec, n_elec) transfer resistances in ohms of n `cases`, several times faster than one by one.
@@ -173,19 +177,12 @@ class FloatingPatches:
             raise ModelError(
                 "a patch conductance is not positive or not finite; leave out where a patch does not touch"
             )
-        count = int(self._slots.max()) + 1
-        none = np.full((count, 0), -1), np.full((count, 0), -1), np.empty((count, 0, 0))
-        own, near, missed = none if self._near is None else self._near.table(np.unique(self._slots[touching]))
         out = np.empty((len(cases), *self.model.transfer_resistance.shape))
-        green = self.update.green_of(np.unique(self._corners[touching]))
         untouched = self.model.transfer_resistance
         try:
-            pressed(
-                untouched, first, touching, joint, self._corners, self._weights, self._caused, green, self._slots,
-                own, near, missed, out,
-            )  # fmt: skip
+            pressed(out, untouched, first, touching, joint, *self._known(touching))
         except np.linalg.LinAlgError:
-            raise ModelError("the mesh is too coarse for patches so hard pressed; use a finer one") from None
+            raise ModelError(_TOO_COARSE) from None
         return out
 
 
@@ -208,19 +205,3 @@ def _as_rows(sizes: ArrayLike, count: int) -> Floats:
     if given.shape != (count, 2, 2):
         raise ModelError(f"sizes have shape {given.shape}; give ({count}, 2) or ({count}, 2, 2)")
     return given
-
-
-@njit(cache=True, nogil=True)
-def _interpolated(green: Floats, corners: Ints, weights: Floats) -> Floats:
-    """(n, n) from values at nodes (m, m) to values at points, each with its nodes and weights (n, k)."""
-    n, k = corners.shape
-    half, whole = np.zeros((n, green.shape[1])), np.zeros((n, n))
-    for i in range(n):
-        for c in range(k):
-            for m in range(green.shape[1]):
-                half[i, m] += weights[i, c] * green[corners[i, c], m]
-    for i in range(n):
-        for j in range(n):
-            for c in range(k):
-                whole[i, j] += half[i, corners[j, c]] * weights[j, c]
-    return whole

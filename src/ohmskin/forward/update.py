@@ -55,10 +55,9 @@ class LocalUpdate:
         self._solve(np.arange(len(self.nodes)))
         return self._green
 
-    def green_among(self, rows: Ints) -> Floats:
-        """(m, m) of `green`, at `rows` (m,) of it."""
-        self._solve(rows)
-        return self._green[np.ix_(rows, rows)]
+    def green_among(self, rows: Ints, columns: Ints) -> Floats:
+        """(m, k) of `green`, at `rows` (m,) and `columns` (k,) of it."""
+        return self.green_of(rows)[np.ix_(rows, columns)]
 
     def green_of(self, rows: Ints) -> Floats:
         """(n, n) whose `rows` (m,) are those of `green`; others may not be computed yet."""
@@ -92,7 +91,7 @@ class LocalUpdate:
         off = max(np.abs(change - change.T).max(initial=0.0), np.abs(change.sum(axis=0)).max(initial=0.0))
         if not off <= 1e-9 * np.abs(change).max(initial=0.0) < np.inf:
             raise ModelError("change must be finite and symmetric, with rows that sum to zero")
-        green, caused = self.green_among(rows), self.caused[rows]
+        green, caused = self.green_among(rows, rows), self.caused[rows]
         try:
             drop = caused.T @ change @ np.linalg.solve(np.eye(len(change)) + green @ change, caused)
         except np.linalg.LinAlgError:
