@@ -136,8 +136,10 @@ def test_nothing_is_left_to_compile_in_the_mode_that_stands_in_while_the_default
     script = script.replace(
         "    take_turns()",
         "    from ohmskin.compiler import Interpreted\n"
-        "    from ohmskin.engine.functions import INTERPRETED, Part\n\n"
+        "    from ohmskin.engine.functions import INTERPRETED, Part\n"
+        "    from ohmskin.forward import assembly\n\n"
         "    take_turns()\n"
+        "    assembly._uncompiled, assembly._is_compiled = 1, lambda: False\n"
         "    interpreted = Interpreted(INTERPRETED)",
     )
     contacts, left, unknown = run(script).stdout.splitlines()

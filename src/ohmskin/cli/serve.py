@@ -6,6 +6,7 @@ from ohmskin.cli.options import Flag, Lifeline, Seed, SkinName, Stop
 from ohmskin.device.firmware import EmulatedBoard
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import VirtualInstrument
+from ohmskin.forward.assembly import uncompiled
 from ohmskin.skin import Fault, Skin
 
 _POLL = 0.1  # s, how soon Ctrl-C is heeded
@@ -33,7 +34,8 @@ def serve_skin(
             contact impedance); give it once for each.
     """
     stop = Stop(lifeline)
-    instrument = VirtualInstrument(Skin.load(skin), seed, realtime, [Fault.parse(text) for text in fault])
+    with uncompiled():
+        instrument = VirtualInstrument(Skin.load(skin), seed, realtime, [Fault.parse(text) for text in fault])
     with DeviceServer(instrument, host=host, port=port, pty=pty) as server:
         stop.listen()
         print(f"virtual skin {skin!r} at {server.url}", flush=True)

@@ -9,6 +9,7 @@ from ohmskin.child import Child
 from ohmskin.closing import Closing, every
 from ohmskin.compiler import LOOK_EVERY, CompileListener, Interpreted, NotCompiled, loading
 from ohmskin.engine.functions import HALVES, INTERPRETED, Part, chosen, compile_functions
+from ohmskin.forward.assembly import uncompiled
 from ohmskin.skin import Skin
 
 _EACH = 2  # functions compiled for each one that a loop calls, as most have some that only they call
@@ -42,6 +43,7 @@ class Compilation(Closing):
                 begun = {HALVES[1]: ""}
                 if skin:
                     parts.enter_context(Interpreted(INTERPRETED))
+                    parts.enter_context(uncompiled())
                     begun[HALVES[0]] = skin.dump()
                 for first, prepared in begun.items():
                     settings = {"first": first, "skin": prepared}

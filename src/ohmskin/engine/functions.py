@@ -22,6 +22,7 @@ HALVES = ("", "contacts.refit:")
 _JUDGING = ("contacts.misfit:norms", "contacts.misfit:signals", "contacts.whitened:likelihood")
 _STANDING_IN = (
     "contacts.regions:",
+    "forward.assembly:",
     "forward.sensitivity:",
     "inverse.modes:",
     "scan.coherence:",

@@ -37,6 +37,7 @@ _T5 = _tuple(
 )
 _T6 = _tuple((_FLOAT64, _FLOAT64, _FLOAT64, _FLOAT64_2))
 _FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
+_INT32_3 = types.Array(_INT32, 3, "C")
 _FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
 _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 
@@ -95,6 +96,33 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.whitened:likelihood", (_T5, _T6, _FLOAT64_1, _FLOAT64)),
     ("contacts.whitened:powers", (_T2, _FLOAT32_2)),
     ("drive.design:_gains", (_FLOAT64_4, _INT64_2, _FLOAT64_3, _FLOAT64_3)),
+    ("forward.assembly:fill", (_INT32_3, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_1)),
+    (
+        "forward.cholesky:eliminate",
+        (
+            _INT64_1,
+            _INT64_1,
+            _FLOAT64_1,
+            _INT64_1,
+            _INT64_1,
+            _INT64_1,
+            _INT64_1,
+            _INT64_1,
+            _INT64_1,
+            _INT64_1,
+            _FLOAT64_1,
+        ),
+    ),
+    (
+        "forward.cholesky:substitute_down",
+        (_INT64_1, _INT64_1, _INT64_1, _INT64_1, _INT64_1, _FLOAT64_1, _INT64, _FLOAT64_2, _FLOAT64_2),
+    ),
+    (
+        "forward.cholesky:substitute_up",
+        (_INT64_1, _INT64_1, _INT64_1, _INT64_1, _INT64_1, _FLOAT64_1, _INT64, _FLOAT64_2, _FLOAT64_2),
+    ),
+    ("forward.dissection:borders", (_INT64_1, _INT64_1, _INT64_1, _INT64_1, _INT64_1, _INT64_1)),
+    ("forward.dissection:dissect", (_INT64_1, _INT64_1, _FLOAT64_2, _INT64, _INT64)),
     (
         "forward.sensitivity:fill_groups",
         (
@@ -122,4 +150,4 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ),
     ("sensing.soundness:judged", (_FLOAT64_1, _FLOAT64_1, _INT64_2_FIXED, _INT64_1, _FLOAT64_2)),
 )
-"""Module, name and argument types of each function; none that the virtual skin has compiled."""
+"""Module, name and argument types of each function."""

@@ -1,17 +1,50 @@
 """Linear finite elements of sheets, surfaces and thick skins, and of the electrodes that touch them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU, splu, spsolve_triangular
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.forward.cholesky import Elimination, Factor
+from ohmskin.compiler import NotCompiled, loading
+from ohmskin.errors import ModelError
+from ohmskin.forward.cholesky import Elimination
 from ohmskin.forward.quadrature import ElectrodeQuadrature, quadratures
 from ohmskin.geometry import Electrodes, Mesh
+
+_LARGEST = 20_000  # unknowns, up to which SuperLU takes less time than our own elimination takes to compile
+_uncompiled = 0  # how many want nothing compiled
+
+
+class Solver(Protocol):
+    """A factorised matrix."""
+
+    def solve(self, loads: Floats) -> Floats:
+        """The unknowns (n,) or (n, k) under loads (n,) or (n, k); zero where an unknown is held."""
+
+    def half_solve(self, loads: Floats) -> Floats:
+        """W loads (n, k), with W^T W the inverse of the matrix."""
+
+    def half_solve_transposed(self, white: Floats) -> Floats:
+        """W^T white (n or n - 1, k)."""
+
+
+@contextmanager
+def uncompiled() -> Iterator[None]:
+    """Meanwhile, systems are solved by SuperLU where our own elimination was never compiled on this machine, which
+    takes ten seconds: in some five times the time, and to other last digits."""
+    global _uncompiled
+    _uncompiled += 1
+    try:
+        yield
+    finally:
+        _uncompiled -= 1
 
 
 def stiffness(mesh: Mesh, conductivity: Floats, gradients: Floats | None = None) -> sp.csc_array:
@@ -63,6 +96,75 @@ def _filled(count: int, slots: NDArray[np.int32], gradients: Floats, weights: Fl
     return values
 
 
+class SuperLUElimination:
+    """What stands in for `Elimination`, of a symmetric `matrix` (n, n), an unknown `without` held at zero."""
+
+    def __init__(self, matrix: sp.csc_array, without: int) -> None:
+        self._matrix, self._without = matrix, without
+
+    def fits(self, matrix: sp.csc_array) -> bool:
+        """Never: for a matrix of the same pattern, `Elimination` may have been compiled."""
+        return False
+
+    def factorise(self, values: Floats) -> Solver:
+        """The factor of the matrix with these values (n_entries,), in the order of the pattern's own.
+
+        Raises:
+            ModelError: If the matrix is not positive definite.
+        """
+        matrix = sp.csc_array((values, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)
+        unknowns = np.arange(matrix.shape[0])
+        free = unknowns[unknowns != self._without]
+        try:
+            return _SuperLUFactor(factorise(matrix[:, free][free]), free, len(unknowns))
+        except RuntimeError as error:
+            raise ModelError(f"the system is not positive definite: {error}; check the conductivities") from None
+
+
+class _SuperLUFactor:
+    """What stands in for `Factor`, of those of n unknowns that are `free`: P A P^T = L D L^T."""
+
+    def __init__(self, factor: SuperLU, free: Ints, n: int) -> None:
+        self._factor, self._free, self._n, self._order = factor, free, n, np.argsort(factor.perm_c)
+        diagonal = factor.U.diagonal()
+        if (factor.perm_r != factor.perm_c).any() or not (diagonal > 0).all():
+            raise ModelError("the system is not positive definite; check the conductivities")
+        self._root = np.sqrt(diagonal)[:, None]
+
+    def solve(self, loads: Floats) -> Floats:
+        unknowns = np.zeros(loads.shape)
+        unknowns[self._free] = self._factor.solve(np.ascontiguousarray(loads[self._free]))
+        return unknowns
+
+    def half_solve(self, loads: Floats) -> Floats:
+        ordered = np.asarray(loads, float)[self._free[self._order]]
+        return np.asarray(spsolve_triangular(self._factor.L.tocsr(), ordered, unit_diagonal=True) / self._root)
+
+    def half_solve_transposed(self, white: Floats) -> Floats:
+        unknowns = np.zeros((self._n, white.shape[1]))
+        upper = self._factor.L.T.tocsr()
+        ordered = spsolve_triangular(upper, white / self._root, lower=False, unit_diagonal=True)
+        unknowns[self._free[self._order]] = ordered
+        return unknowns
+
+
+def elimination(matrix: sp.csc_array, places: Floats, without: int = -1) -> Elimination | SuperLUElimination:
+    """`Elimination`, or what stands in for it while nothing shall be compiled (`uncompiled`)."""
+    if _uncompiled and matrix.shape[0] <= _LARGEST and not _is_compiled():
+        return SuperLUElimination(matrix, without)
+    return Elimination(matrix, places, without)
+
+
+def _is_compiled() -> bool:
+    """Whether `Elimination` was compiled on this machine."""
+    try:
+        with loading():
+            Elimination(sp.eye_array(2, format="csc"), np.eye(2)).factorise(np.ones(2)).solve(np.eye(2))
+    except NotCompiled:
+        return False
+    return True
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """The system of the complete electrode model (Somersalo, Cheney and Isaacson 1992), with point electrodes.
@@ -81,13 +183,15 @@ class System:
     terminals: Ints
     places: Floats
 
-    def elimination(self, known: Elimination | None = None) -> Elimination:
+    def elimination(
+        self, known: "Elimination | SuperLUElimination | None" = None
+    ) -> "Elimination | SuperLUElimination":
         """The order of elimination, with the first electrode grounded; `known`, if it is of the same pattern."""
         if known is not None and known.fits(self.matrix):
             return known
-        return Elimination(self.matrix, self.places, int(self.terminals[0]))
+        return elimination(self.matrix, self.places, int(self.terminals[0]))
 
-    def factorise(self) -> Factor:
+    def factorise(self) -> Solver:
         """The factor of the matrix, with the first electrode grounded."""
         return self.elimination().factorise(self.matrix.data)
 
@@ -121,9 +225,7 @@ def assemble(
     return System(matrix, terminals, places)
 
 
-def factorise(matrix: sp.csc_array, places: Floats | None = None) -> Factor | SuperLU:
-    """Factors of a symmetric positive definite matrix, much quicker with the `places` (n, dim) of its unknowns."""
-    if places is not None:
-        return Elimination(matrix, places).factorise(matrix.data)
+def factorise(matrix: sp.csc_array) -> SuperLU:
+    """Factors of a symmetric positive definite matrix whose unknowns have no places."""
     symmetric = {"SymmetricMode": True, "Equil": False}
     return splu(sp.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)

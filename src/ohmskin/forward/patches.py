@@ -65,13 +65,14 @@ class FloatingPatches:
             raise ModelError("no point of a patch lies on the mesh; give points in its coordinates (m)")
         self.points, self.patches = where[self.kept], owner[self.kept].astype(np.int64)
         self._slots: Ints = np.unique(self.patches, return_inverse=True)[1]
+        self._solved = np.zeros(int(self._slots.max()) + 1, bool)  # patches whose contacts' potentials are known
         corners = corners[self.kept]
         self.update = LocalUpdate(model, np.unique(corners))
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
         self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
         self.sizes: Floats = _as_rows(0.0 if sizes is None else sizes, len(where))[self.kept]
-        none = np.full((int(self._slots.max()) + 1, 0), -1)
+        none = np.full((len(self._solved), 0), -1)
         missed, zero = np.empty((*none.shape, 0), np.int16), np.zeros(len(none))
         self._nothing_near: Table = none, zero.astype(int), none, missed, zero
         self._near: NearField | None = None
@@ -148,10 +149,12 @@ class FloatingPatches:
 
     def _known(self, touching: Ints) -> tuple[Any, ...]:
         """What the kernels take of contacts that touch (n,), from their corners on."""
-        green = self.update.green_of(np.unique(self._corners[touching]))
         slots = np.unique(self._slots[touching])
+        new = slots[~self._solved[slots]]
+        self._solved[new] = True
+        nodes = np.unique(self._corners[np.isin(self._slots, new)]) if len(new) else new  # of all contacts, at once
         near = self._nothing_near if self._near is None else self._near.table(slots)
-        return self._corners, self._weights, self._caused, green, self._slots, *near
+        return self._corners, self._weights, self._caused, self.update.green_of(nodes), self._slots, *near
 
     def prepare(self, patch: int) -> None:
         """Compute what a press on a patch needs, so that the first one there takes no longer than others.

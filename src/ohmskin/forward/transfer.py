@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, ReadOnly, fixed, lock, real
 from ohmskin.errors import ModelError
-from ohmskin.forward.assembly import assemble
+from ohmskin.forward.assembly import SuperLUElimination, assemble
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.forward.conductivity import conductivity_of
 from ohmskin.forward.movement import pair_movement
@@ -50,7 +50,7 @@ class TransferModel(ReadOnly):
         self.mesh, self.electrodes, self.pairs = mesh, electrodes, Pairs.all(len(electrodes))
         self.conductivity, self._root = conductivity_of(mesh, conductivity)
         self.quadratures = quadratures(mesh, electrodes)
-        self._elimination: Elimination | None = None
+        self._elimination: Elimination | SuperLUElimination | None = None
         self._solve()
 
     def _solve(self) -> None:

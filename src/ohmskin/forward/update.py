@@ -70,7 +70,8 @@ class LocalUpdate:
             block = missing[first : first + _BLOCK]
             load = np.zeros((self._size, len(block)))
             load[self.nodes[block], np.arange(len(block))] = 1.0
-            self._green[block] = self._factor.solve(load)[self.nodes].T  # symmetric: rows are faster to write
+            solved = self._factor.solve(load)[self.nodes].T  # symmetric: rows are faster to write, and from rows
+            self._green[block] = np.ascontiguousarray(solved)
             self._known[block] = True
 
     def transfer_resistance(self, nodes: Ints, change: Floats) -> Floats:

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.forward.assembly import stiffness
-from ohmskin.forward.cholesky import Elimination, Factor
+from ohmskin.forward.assembly import Solver, elimination, stiffness
 from ohmskin.geometry import Mesh
 from ohmskin.geometry.mesh import facet_measures
 from ohmskin.registry import Registry
@@ -75,12 +74,12 @@ class Penalty:
         return sp.csc_array(matrix + sp.eye_array(n) / (n * FREE**2) if self.free_mean else matrix)
 
     @cached_property
-    def _factor(self) -> Factor:
+    def _factor(self) -> Solver:
         n = self.matrix.shape[0]
         places = np.arange(n, dtype=float)[:, None] if self.places is None else self.places
         advice = "add to its diagonal, or leave constants free: Penalty(matrix, free_mean=True)"
         try:  # a mean that is free is taken off; what is left is known relative to the first unknown
-            factor = Elimination(self.matrix, places, 0 if self.free_mean else -1).factorise(self.matrix.data)
+            factor = elimination(self.matrix, places, 0 if self.free_mean else -1).factorise(self.matrix.data)
         except ModelError:
             raise ModelError(f"the prior's matrix is not positive definite; {advice}") from None
         probe = np.random.default_rng(0).choice([-1.0, 1.0], size=(n, 1))
