@@ -39,6 +39,16 @@ def test_settings_arrive_and_answers_come_back() -> None:
     assert started.process.returncode == 0
 
 
+def test_one_that_never_waits_goes_on_though_nobody_reads_and_what_is_read_is_whole() -> None:
+    begin = "from ohmskin.child import begin; answer = begin(waits=False)[1]"
+    started = child(f"{begin}; [answer(state='running') for _ in range(9999)]", {})
+    started.process.wait(60)
+    lines = started.stdout.read().splitlines()
+    started.close()
+    assert {*lines} == {b'{"state": "running"}'}
+    assert 100 < len(lines) < 9999
+
+
 @pytest.mark.parametrize(
     ("code", "says"),
     [

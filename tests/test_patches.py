@@ -261,7 +261,9 @@ class Quiet:
 
     given: ClassVar[list[tuple[Any, ...]]] = []
 
-    def __init__(self, placed: PlacedSkin, name: str, demo: bool, images: float, news: int, report: object) -> None:
+    def __init__(
+        self, placed: PlacedSkin, name: str, demo: bool, images: float, news: threading.Event, report: object
+    ) -> None:
         self.given.append((name, images, news))
 
     def poll(self) -> None:
@@ -286,10 +288,10 @@ def test_new_contacts_end_the_wait_for_them_and_images_come_as_often_as_somebody
             with Board("torso.front", {"patches": [asdict(front)]}, LARGEST) as board:
                 assert {every for _, every, _ in Quiet.given} == {images}
 
-                def speak_soon(board: Board = board, news: int = Quiet.given[0][2]) -> None:
+                def speak_soon(board: Board = board, news: threading.Event = Quiet.given[0][2]) -> None:
                     time.sleep(0.1)
                     speak(board, front, 1, 1)
-                    os.write(news, b".")
+                    news.set()
 
                 threading.Thread(target=speak_soon).start()
                 heard = until(patches.step)
@@ -474,9 +476,7 @@ def test_how_far_the_calibration_of_a_patch_is_is_told(monkeypatch: pytest.Monke
 
     patch = asdict(Patch("front", "base"))
     settings = {"device": "virtual:", "skin": skin.dump(), "mode": "12B", "patch": patch, "name": "torso.front"}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    sense({**settings, "demo": False, "images": 10.0, "news": nowhere}, answer, stop)
-    os.close(nowhere)
+    sense({**settings, "demo": False, "images": 10.0}, answer, stop)
     assert any(re.fullmatch(r"calibrating: 50% measured, about \d+ s left", message) for message in told)
 
 

@@ -60,11 +60,9 @@ class Child:
                 raise
 
     @classmethod
-    def module(
-        cls, module: str, name: str, settings: Mapping[str, Any], pass_fds: Sequence[int] = (), **environment: str
-    ) -> Self:
+    def module(cls, module: str, name: str, settings: Mapping[str, Any], **environment: str) -> Self:
         """A module of ours, whose `main` begins with `begin`."""
-        return cls([sys.executable, "-P", "-m", module], name, settings, environment, pass_fds=pass_fds)
+        return cls([sys.executable, "-P", "-m", module], name, settings, environment)
 
     def ready(self, timeout: float, failure: Callable[[str], Exception]) -> dict[str, Any]:
         """Its first answer, awaited for `timeout` seconds at most.
@@ -117,13 +115,16 @@ class Child:
                 pipe.close()
 
 
-def begin() -> tuple[dict[str, Any], Callable[..., None]]:
+def begin(waits: bool = True) -> tuple[dict[str, Any], Callable[..., None]]:
     """In the child: its settings, and a function that answers (keywords become a line of JSON).
 
+    If it never `waits`, short answers (4 KiB) that nobody has read for long are lost.
     From here on Ctrl-C is the parent's to handle, and what a library prints goes to standard error.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.dup(sys.stdout.fileno())
+    if not waits:
+        os.set_blocking(answers, False)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
     def answer(**what: object) -> None:

@@ -4,11 +4,9 @@
 """
 
 import gc
-import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -37,9 +35,9 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     """Sense with one patch until it is stopped; when the device cannot be reached, say so and try again.
 
     Args:
-        settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, whether a
-            demonstration finger presses it (`demo`), and a pipe that gets a byte whenever there is `news`.
-        answer: Takes how it goes, by keyword.
+        settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, and whether
+            a demonstration finger presses it (`demo`).
+        answer: Takes how it goes, by keyword; called without any when there is something new on its boards.
         stop: Set to end.
     """
     skin, device = Skin.parse(settings["skin"]), settings["device"]
@@ -62,8 +60,7 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
                 with Engine(opened, skin, settings["mode"], lambda text: answer(message=text)) as engine:
                     commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
                     with CommandServer(settings["name"], commands) as server:
-                        pressed = skin if settings["demo"] else None
-                        _run(engine, publisher, settings["news"], server, address, pressed, answer, stop)
+                        _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)
             except DeviceError as error:
                 answer(state="lost", message=str(error))
                 publisher.lost(str(error))
@@ -73,7 +70,6 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
 def _run(
     engine: Engine,
     publisher: Publisher,
-    news: int,
     server: CommandServer,
     address: Board,
     pressed: Skin | None,
@@ -100,8 +96,7 @@ def _run(
         touch = engine.step()
         if touch is not None:
             publisher.publish(touch)
-            with suppress(OSError):  # it is full: there is much to read still
-                os.write(news, b".")
+            answer()
             server.poll()
         elif engine.state is State.LOST:
             publisher.lost(engine.message)
@@ -117,7 +112,7 @@ def _run(
 def main() -> None:
     """Run one patch."""
     take_turns()
-    settings, answer = begin()
+    settings, answer = begin(waits=False)
     stop = threading.Event()
     when_input_ends(stop.set)
     try:

@@ -1,8 +1,6 @@
 """All patches of a robot: a process for each, and one stream of contacts in the robot's frames."""
 
 import json
-import os
-import select
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -48,7 +46,7 @@ class PatchProcess:
         name: Its boards.
         demo: Whether a demonstration finger presses a virtual one.
         images: Most images per second.
-        news: A pipe, to which it writes a byte whenever there is something new on its boards.
+        news: Set whenever it says something, such as that there is something new on its boards.
         report: Called with every message for the user.
 
     Attributes:
@@ -56,9 +54,15 @@ class PatchProcess:
     """
 
     def __init__(
-        self, placed: PlacedSkin, name: str, demo: bool, images: float, news: int, report: Callable[[str], None]
+        self,
+        placed: PlacedSkin,
+        name: str,
+        demo: bool,
+        images: float,
+        news: threading.Event,
+        report: Callable[[str], None],
     ) -> None:
-        self._settings: dict[str, Any] = {
+        self._settings = {
             "patch": asdict(placed.patch),
             "skin": placed.skin.dump(),
             "device": placed.device,
@@ -66,9 +70,8 @@ class PatchProcess:
             "name": name,
             "demo": demo and placed.device == "virtual:",
             "images": images,
-            "news": news,
         }
-        self._patch, self._report = placed.patch.name, report
+        self._patch, self._news, self._report = placed.patch.name, news, report
         self.status: dict[str, Any] = {}
         self._again = 0.0  # when to start anew; 0 while it runs
         self._start()
@@ -97,8 +100,7 @@ class PatchProcess:
     def _start(self) -> None:
         self._again = 0.0
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        news = [self._settings["news"]]
-        self._child = Child.module("ohmskin.body.patch", "the patch", self._settings, news, **threads)
+        self._child = Child.module("ohmskin.body.patch", "the patch", self._settings, **threads)
         self._thread = threading.Thread(target=self._listen, args=(self._child.stdout,), daemon=True)
         self._thread.start()
 
@@ -110,6 +112,7 @@ class PatchProcess:
                     if told.get("message") and told["message"] != self.status.get("message"):
                         self._report(f"patch {self._patch}: {told['message']}")
                     self.status = self.status | told
+                self._news.set()
 
     def _end(self, timeout: float) -> None:
         self._child.end(timeout)
@@ -175,14 +178,11 @@ class Patches(Closing):
                 heard = JointsProcess(body.name, body.robot.independent, joints, joint_topic, token)
                 report(f"receiving joint states at {stack.enter_context(heard).address}, {joint_topic}")
             self._replay = stack.enter_context(BodyReplay(body, replay)) if replay else None
-            self._news, news = os.pipe()
-            stack.callback(os.close, self._news)
-            stack.callback(os.close, news)
-            os.set_blocking(news, False)
+            self._news = threading.Event()
             stack.callback(self._end_processes)
             drawn = max(images, _DRAWN) if shown else images
             for placed, board in zip(body.patches, self.boards, strict=True) if not replay else ():
-                self._processes.append(PatchProcess(placed, board, demo, drawn, news, report))
+                self._processes.append(PatchProcess(placed, board, demo, drawn, self._news, report))
             self._stack = stack.pop_all()
 
     @property
@@ -207,8 +207,8 @@ class Patches(Closing):
         if self._replay is not None:
             self._replay.step()
         if (merged := self._merger.step()) is None:
-            if select.select([self._news], [], [], _WAIT if self._replay is None else _WAIT_REPLAYING)[0]:
-                os.read(self._news, 65536)
+            self._news.wait(_WAIT if self._replay is None else _WAIT_REPLAYING)
+            self._news.clear()
         else:
             self._relay.wake()
         return merged
