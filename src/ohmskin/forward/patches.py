@@ -151,10 +151,11 @@ class FloatingPatches:
         """What the kernels take of contacts that touch (n,), from their corners on."""
         slots = np.unique(self._slots[touching])
         new = slots[~self._solved[slots]]
-        self._solved[new] = True
         nodes = np.unique(self._corners[np.isin(self._slots, new)]) if len(new) else new  # of all contacts, at once
+        green = self.update.green_of(nodes)
+        self._solved[new] = True
         near = self._nothing_near if self._near is None else self._near.table(slots)
-        return self._corners, self._weights, self._caused, self.update.green_of(nodes), self._slots, *near
+        return self._corners, self._weights, self._caused, green, self._slots, *near
 
     def prepare(self, patch: int) -> None:
         """Compute what a press on a patch needs, so that the first one there takes no longer than others.
