@@ -6,6 +6,7 @@ On the sheet (two dimensions) a contact is an `ohmskin.contacts.Contact`, in a f
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from math import isnan, nan
 from typing import Any
 
@@ -48,7 +49,7 @@ class Field:
     def numbers(self, contact: Any, dimensions: int) -> list[float]:
         """Its numbers in the order of `components`; NaN where it is not known."""
         if (value := getattr(contact, self.name)) is None:
-            return [nan] * len(self.components(dimensions))
+            return [nan] * (1, dimensions, dimensions * (dimensions + 1) // 2)[self.rank]
         if self.rank == 2:
             return [value[i][j] for i in range(dimensions) for j in range(i, dimensions)]
         return list(value) if self.rank else [float(value) if self.flag else value]
@@ -85,6 +86,7 @@ FIELDS = (
 """All fields, in the order of every binary format; on the sheet there are fewer."""
 
 
+@cache
 def fields(dimensions: int) -> tuple[Field, ...]:
     """The fields of a contact on the sheet (2) or in space (3)."""
     return tuple(field for field in FIELDS if dimensions == 3 or not field.space)
