@@ -37,8 +37,10 @@ class Solver(Protocol):
 
 @contextmanager
 def uncompiled() -> Iterator[None]:
-    """Meanwhile, systems are solved by SuperLU where our own elimination was never compiled on this machine, which
-    takes ten seconds: in some five times the time, and to other last digits."""
+    """Meanwhile, small systems are solved by SuperLU if our own elimination was never compiled on this machine.
+
+    Compiling takes ten seconds; SuperLU three to five times as long as what is compiled, and its last digits differ.
+    """
     global _uncompiled
     _uncompiled += 1
     try:
