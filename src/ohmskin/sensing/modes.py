@@ -81,12 +81,11 @@ def default_mode(skin: Skin) -> str:
     return _filled(DEFAULT, skin)
 
 
-def recorded_mode(skin: Skin, fitted: bool = False) -> Mode:
-    """The mode for recordings of a `skin` with their own pattern: contacts `fitted` if required, or by the learned
-    map."""
-    if fitted:
-        return replace(RECORDED, reader="fit")
-    return replace(RECORDED, reader="learned") if skin.calibration.position_map else RECORDED
+def recorded_mode(skin: Skin) -> Mode:
+    """The mode for recordings of a `skin` with their own pattern: contacts by the learned map; of a tank, whose targets
+    may conduct worse, too, those of the image that a fit confirms."""
+    reader = "learned" if skin.calibration.position_map else "confirmed" if skin.imaging.bipolar else RECORDED.reader
+    return replace(RECORDED, reader=reader)
 
 
 def mode_named(skin: Skin, name: str) -> Mode:

@@ -1,0 +1,131 @@
+"""Contacts of the image that a fit confirms, in tanks: none invented, and nearer than those of the image alone."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Electrodes
+from ohmskin.scan import DrivePattern, Frame, adjacent, assess
+from ohmskin.sensing import RECORDED, SkinModel, perceive, recorded_mode
+from ohmskin.sensing.confirmed import confirmed_by
+from ohmskin.skin import Skin
+
+TANK = Skin.load("uef2017")
+RADIUS, FALSE = 0.14, 0.03  # m, of the tank, and how far from every target a contact is none
+SHAPES = "disc", "square", "bar", "triangle"
+
+
+@cache
+def patterns() -> tuple[DrivePattern, DrivePattern]:
+    """Adjacent drive, and that with three electrodes between source and sink; all else is measured."""
+    ring = np.arange(16)
+    apart = np.column_stack([ring, (ring + 4) % 16])
+    rest = [(k, p, (p + 1) % 16) for k, pair in enumerate(apart) for p in ring if not {p, (p + 1) % 16} & {*pair}]
+    return adjacent([range(16)]), DrivePattern(apart, np.array(rest))
+
+
+@cache
+def truth() -> TransferModel:
+    """Finite elements of the tank that the estimator does not have, with electrodes of their real length."""
+    mesh = replace(TANK, imaging=replace(TANK.imaging, mesh_size=0.6 * TANK.imaging.mesh_size)).mesh()
+    electrodes = TANK.electrodes.with_rim_segments(0.025, 1e-3 / TANK.sheet.conductivity)
+    return TransferModel(mesh, electrodes, TANK.sheet.conductivity * (1 + 0.02 * np.sin(30 * mesh.centroids[:, 0])))
+
+
+def within(places: Floats, middle: Floats, radius: float, shape: str, angle: float) -> Floats:
+    """Which of some places (n, 2) are in a target."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    x, y = ((places - middle) @ turn).T / radius
+    if shape == "disc":
+        return np.hypot(x, y) < 1
+    if shape == "square":
+        return (abs(x) < 0.9) & (abs(y) < 0.9)
+    if shape == "bar":
+        return (abs(x) < 1.6) & (abs(y) < 0.6)
+    return (y > -0.6) & (abs(x) < 0.75 - 0.75 * y)
+
+
+def scene(seed: int) -> tuple[Floats, list[Frame], Frame]:
+    """Places (n, 2) of up to three targets (m), the quiet tank, and the tank with them."""
+    random, model = np.random.default_rng(seed), truth()
+    many, places = random.integers(1, 4), list[Floats]()
+    while len(places) < many:
+        place = random.uniform(-RADIUS, RADIUS, 2)
+        if np.hypot(*place) < 0.75 * RADIUS and all(np.hypot(*(place - other)) > 0.085 for other in places):
+            places.append(place)
+    conductivity = model.conductivity.copy()
+    for place in places:
+        size, shape, angle = random.uniform(0.018, 0.03), str(random.choice(SHAPES)), random.uniform(0, 2 * np.pi)
+        there = within(model.mesh.centroids, place, size, shape, angle)
+        conductivity = np.where(there, conductivity * random.choice([20.0, 0.02]), conductivity)
+    pattern = patterns()[seed % 2]
+    rest, touched = (
+        1e-3 * one.voltages(pattern) for one in (model, TransferModel(model.mesh, model.electrodes, conductivity))
+    )
+    noise, currents = 1e-3 * abs(rest) + 1e-4 * abs(rest).mean(), np.full(pattern.n_inj, 1e-3)
+    *quiet, frame = (
+        Frame(pattern, volts + noise * random.standard_normal(len(rest)), currents) for volts in (rest, rest, touched)
+    )
+    return np.array(places), quiet, frame
+
+
+def judged(places: Floats, contacts: tuple[Contact, ...]) -> tuple[int, int, list[float]]:
+    """How many targets are missed and how many contacts invented, of those believed; how far the others are off (m)."""
+    found = np.array([contact.position for contact in contacts if contact.confidence > 0.5]).reshape(-1, 2)
+    away = np.hypot(*(places[:, None] - found).transpose(2, 0, 1))
+    errors = [float(each.min(initial=np.inf)) for each in away]
+    near = [error for error in errors if error < FALSE]
+    return len(places) - len(near), len(found) - len(near), near
+
+
+def test_a_fit_confirms_targets_of_many_shapes_and_no_side_lobe() -> None:
+    """An image alone of large targets of high contrast has nearly as many side lobes as there are targets."""
+    missed, invented, errors = (dict.fromkeys(("image", "confirmed"), 0.0) for _ in range(3))
+    for seed in range(24):
+        places, quiet, frame = scene(seed)
+        known = SkinModel(TANK, TANK.transfer_model(), quiet, assess(quiet, [frame]))
+        for name, mode in (("image", RECORDED), ("confirmed", recorded_mode(TANK))):
+            lost, more, near = judged(places, perceive(known, frame, mode).detections)
+            missed[name], invented[name], errors[name] = (
+                missed[name] + lost,
+                invented[name] + more,
+                errors[name] + sum(near),
+            )
+    assert invented["image"] > 10  # 37 were measured
+    assert invented["confirmed"] <= 1
+    assert missed["confirmed"] <= missed["image"]
+    assert errors["confirmed"] < errors["image"]
+
+
+def at(x: float, strength: float, radius: float | None = None) -> Contact:
+    """A contact of 4 cm2, believed."""
+    return Contact((x, 0.0), 4e-4, strength, 1.0, 1.0, radius=radius)
+
+
+def test_contacts_lie_half_way_to_what_confirms_them() -> None:
+    fitter = SkinModel(TANK, TANK.transfer_model(), scene(0)[1]).fitter
+    seen = [at(0.0, 1e-3), at(0.07, 1e-3), at(-0.07, -1e-3)]
+    fitted = [at(0.002, 3e-3, 8e-3), at(0.01, 1e-3, 8e-3), at(-0.07, 1e-3, 8e-3)]
+    (found,) = confirmed_by(fitter, fitted, seen)  # there is nothing at the second, and of another sign at the third
+    assert found.position == pytest.approx((0.002, 0.0))  # half way to the middle of two
+    assert (found.confidence, found.strength) == (1.0, 1e-3)
+
+
+def test_what_discs_do_not_explain_is_read_off_the_image_alone() -> None:
+    """Electrodes whose wires are exchanged: no disc explains what they measure; the image is no surer."""
+    _, quiet, frame = scene(1)
+    wires = [0, 5, 2, 3, 4, 1, *range(6, 16)]
+    model = TransferModel(TANK.mesh(), Electrodes.at(TANK.electrodes.positions[wires]), TANK.sheet.conductivity)
+    known = SkinModel(TANK, model, quiet)
+    fitted, found, alone = (
+        perceive(known, frame, mode) for mode in (replace(RECORDED, reader="fit"), recorded_mode(TANK), RECORDED)
+    )
+    assert fitted.belief.unexplained > 0.3
+    assert found.detections
+    assert found.detections == alone.detections
+    assert max(one.confidence for one in found.detections) < 0.5
