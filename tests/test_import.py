@@ -9,6 +9,7 @@ import sys
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def test_of_too_many_contacts_in_one_image_none_is_sure(uef_folder: Path, tmp_pa
     file = uef_folder / "datamat_2_1.mat"
     recording, skin = read_recording(file), Skin.load("uef2017")
     known = SkinModel(skin, skin.transfer_model(), recording.quiet, assess(recording.quiet, recording.frames))
-    alone = perceive(known, recording.frames[0], RECORDED.using(prior="tikhonov")).detections
+    alone = perceive(known, recording.frames[0], replace(RECORDED, reader="centroid", prior="tikhonov")).detections
     assert len(alone) > 16
     assert max(contact.confidence for contact in alone) == 0.0
     done = command_line.ohmskin("image", str(file), "--prior", "tikhonov", "--json", cwd=tmp_path)

@@ -31,7 +31,7 @@ from ohmskin.scan import (
     reciprocity_residuals,
 )
 from ohmskin.sensing import RECORDED, SkinModel, drive_of, mode_named, perceive
-from ohmskin.skin import Mode, Skin, VirtualSkin
+from ohmskin.skin import Skin, VirtualSkin
 
 NOISE = 2e-4
 PATTERN = adjacent([range(16)])
@@ -288,9 +288,9 @@ def test_contacts_of_data_that_are_of_another_skin_are_not_believed(tank_folder:
             assert order == range(16) or max(one.confidence for one in seen) < 0.5
 
 
-@pytest.mark.parametrize("mode", [RECORDED, None], ids=["image", "confirmed"])
+@pytest.mark.parametrize("reader", ["centroid", "confirmed"])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_contacts_of_a_tank_that_only_warms_up_are_not_believed(factor: float, mode: Mode | None) -> None:
+def test_contacts_of_a_tank_that_only_warms_up_are_not_believed(factor: float, reader: str) -> None:
     """Of those of the image alone; a fit confirms none."""
     skin = Skin.load("uef2017")
     model, random = skin.transfer_model(), np.random.default_rng(0)
@@ -307,8 +307,9 @@ def test_contacts_of_a_tank_that_only_warms_up_are_not_believed(factor: float, m
                 for some in ([rest] * 10, [volts])
             )
             known = SkinModel(skin, model, quiet)
-            found += [one.confidence for one in perceive(known, frame[0], mode).detections]
-    assert bool(warm) == (mode is RECORDED)
+            seen = perceive(known, frame[0], replace(RECORDED, reader=reader))
+            found += [one.confidence for one in seen.detections]
+    assert bool(warm) == (reader == "centroid")
     assert max(warm, default=0.0) < 0.05
     assert max(beside) > 0.95
 

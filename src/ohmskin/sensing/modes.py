@@ -57,7 +57,11 @@ LEARNED = Mode(
 """Of skins that have learned from presses (`ohmskin learn`)."""
 
 RECORDED = Mode(
-    "recorded", drive="recorded", reader="centroid", title="As recorded", summary="The recording's pattern."
+    "recorded",
+    drive="recorded",
+    reader="confirmed",
+    title="As recorded",
+    summary="The recording's pattern; contacts are those of the image that a fit to the data confirms.",
 )
 """The mode of recordings with a pattern of their own."""
 
@@ -82,10 +86,8 @@ def default_mode(skin: Skin) -> str:
 
 
 def recorded_mode(skin: Skin) -> Mode:
-    """The mode for recordings of a `skin` with their own pattern: contacts by the learned map; of a tank, whose targets
-    may conduct worse, too, those of the image that a fit confirms."""
-    reader = "learned" if skin.calibration.position_map else "confirmed" if skin.imaging.bipolar else RECORDED.reader
-    return replace(RECORDED, reader=reader)
+    """The mode for recordings of a `skin` with their own pattern: contacts by the learned map, if it has one."""
+    return replace(RECORDED, reader="learned") if skin.calibration.position_map else RECORDED
 
 
 def mode_named(skin: Skin, name: str) -> Mode:
