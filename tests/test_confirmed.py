@@ -149,3 +149,25 @@ def test_what_discs_do_not_explain_is_read_off_the_image_alone() -> None:
     assert found.detections
     assert found.detections == alone.detections
     assert max(one.confidence for one in found.detections) < 0.5
+
+
+def test_on_surfaces_in_space_the_image_alone_shows_contacts() -> None:
+    """A sheet laid round a cylinder: discs are fitted on flat sheets only."""
+    skin, pattern, radius = Skin.load("paper-rim16"), adjacent([range(16)]), 0.08
+
+    def bent(points: Floats) -> Floats:
+        x, y = points.T
+        return np.column_stack([radius * np.sin(x / radius), y, radius * np.cos(x / radius)])
+
+    electrodes = Electrodes.at(bent(skin.electrodes.positions))
+    model = TransferModel(skin.mesh().mapped(bent), electrodes, skin.sheet.conductivity)
+    place = np.array([0.06, 0.13])
+    near = np.linalg.norm(model.mesh.centroids - bent(place[None]), axis=1) < 0.012
+    touched = TransferModel(model.mesh, electrodes, model.conductivity * np.where(near, 5.0, 1.0))
+    random, currents = np.random.default_rng(2), np.full(pattern.n_inj, 1e-3)
+    *quiet, frame = (
+        Frame(pattern, 1e-3 * one.voltages(pattern) + 1e-4 * random.standard_normal(pattern.n_meas), currents)
+        for one in (model, model, touched)
+    )
+    (found,) = perceive(SkinModel(skin, model, quiet), frame).detections
+    assert found.position == pytest.approx(tuple(bent(place[None])[0]), abs=0.01)

@@ -138,13 +138,17 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     Args:
         known: The model of the quiet skin; its quiet frames cover the frame's pattern.
         frame: The frame.
-        mode: Names reader, estimator, prior and rule, `recorded_mode` unless given; its drive does not count.
+        mode: Names reader, estimator, prior and rule; its drive does not count. Unless given, `recorded_mode`, on
+            surfaces in space with the reader `centroid`.
 
     Raises:
         PatternError: If the quiet frames do not cover the pattern.
         ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
     """
-    sensor = build(mode or recorded_mode(known.skin), known, Fixed(frame.pattern))
+    if mode is None:
+        flat = known.model.mesh.nodes.shape[1] == 2
+        mode = recorded_mode(known.skin) if flat else replace(RECORDED, reader="centroid")
+    sensor = build(mode, known, Fixed(frame.pattern))
     percept = sensor.step(sensor.start(), lambda _: frame)[1]
     belief = percept.belief
     if not belief.detections:

@@ -28,7 +28,7 @@ def confirmed(known: SkinModel, estimator: Estimator, threshold: float) -> Reade
     imaging, cells, tracker = known.skin.imaging, estimator.cells, Tracker(estimator.cells.period)
     alone = ContactFinder(threshold, imaging.fraction, imaging.dip, imaging.bipolar)
     more = replace(alone, fraction=_FRACTION * imaging.fraction)
-    physics = fit(known, estimator, threshold)
+    physics = fit(known, known.estimator("gauss-newton"), threshold)  # whose own image is never asked for
 
     def detect(estimate: Estimate, scans: Sequence[Difference]) -> Sequence[Contact]:
         seen = more.find(estimate.image, cells)
