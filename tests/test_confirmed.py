@@ -151,6 +151,22 @@ def test_what_discs_do_not_explain_is_read_off_the_image_alone() -> None:
     assert max(one.confidence for one in found.detections) < 0.5
 
 
+def test_contacts_are_followed_from_frame_to_frame() -> None:
+    _, quiet, frame = scene(2)
+    known = SkinModel(TANK, TANK.transfer_model(), quiet)
+    sensor, random = build(RECORDED, known, Fixed(frame.pattern)), np.random.default_rng(3)
+    state, seen = sensor.start(), list[list[Contact]]()
+    for number in range(6):
+        noise = known.noise * random.standard_normal(len(frame.voltages))
+        again = replace(frame, voltages=frame.voltages + noise, time=0.05 * number)
+        state, percept = sensor.step(state, lambda _, again=again: again)
+        seen.append(sorted(percept.contacts, key=lambda contact: contact.id))
+    assert seen[2]  # detected in three frames
+    assert [one.id for one in seen[5]] == [one.id for one in seen[2]]
+    for one, other in zip(seen[5], seen[2], strict=True):
+        assert one.position == pytest.approx(other.position, abs=2e-3)
+
+
 def test_on_surfaces_in_space_the_image_alone_shows_contacts() -> None:
     """A sheet laid round a cylinder: discs are fitted on flat sheets only."""
     skin, pattern, radius = Skin.load("paper-rim16"), adjacent([range(16)]), 0.08

@@ -5,41 +5,66 @@ above all at the rim; a fit of discs takes targets of other shapes for several. 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from math import hypot, pi, sqrt
 
 import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter
-from ohmskin.inverse.estimators import Estimate, Estimator
+from ohmskin.inverse.estimators import Estimator
 from ohmskin.scan import Difference
 from ohmskin.sensing.confidence import fit_confidence
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.readers import DetectionReader, Reader, fit
-from ohmskin.tracking import Tracker
+from ohmskin.sensing.readers import Belief, DetectionReader, FitReader, Reader, centroid, fit
 
 _FRACTION = 0.5  # of the fraction asked of a peak where the image alone shows contacts
 _BELIEVED = 0.5  # confidence in a fit, below which the image alone shows them
 
 
+@dataclass(frozen=True, eq=False)
+class ConfirmedReader(DetectionReader):
+    """A `Reader` that finds contacts in the image of every frame where contacts fitted to it confirm them.
+
+    Args:
+        physics: Fits contacts, and makes the image.
+        finder: Finds all that may be confirmed; `detect` finds what the image alone shows.
+    """
+
+    physics: FitReader
+    finder: ContactFinder
+
+    @property
+    def fitter(self) -> ContactFitter:
+        """What fits contacts to data."""
+        return self.physics.fitter
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """The belief while nothing touches the skin."""
+        return self.physics.start(before)
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """The belief after one more frame, as for `Reader.update`."""
+        fitted = self.physics.update(before, new, recent, elapsed)
+        if fit_confidence(fitted.unexplained) < _BELIEVED:
+            found = self.detect(fitted.estimate, recent)
+        elif fitted.detections:
+            seen = self.finder.find(fitted.image, self.estimator.cells)
+            found = confirmed_by(self.fitter, fitted.detections, seen)
+        else:
+            found = ()
+        followed = self.follow(before, fitted.estimate, found)
+        return changed(fitted, detections=followed.detections, contacts=followed.contacts, tracks=followed.tracks)
+
+
 def confirmed(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts of the image that a fit to the data confirms, between the places of both."""
-    imaging, cells, tracker = known.skin.imaging, estimator.cells, Tracker(estimator.cells.period)
-    alone = ContactFinder(threshold, imaging.fraction, imaging.dip, imaging.bipolar)
-    more = replace(alone, fraction=_FRACTION * imaging.fraction)
-    physics = fit(known, known.estimator("gauss-newton"), threshold)  # whose own image is never asked for
-
-    def detect(estimate: Estimate, scans: Sequence[Difference]) -> Sequence[Contact]:
-        seen = more.find(estimate.image, cells)
-        if not seen:
-            return seen
-        fitted = physics.update(physics.start(), scans, scans, 0.0)
-        if fit_confidence(fitted.unexplained) < _BELIEVED:
-            return alone.find(estimate.image, cells)
-        return confirmed_by(known.fitter, fitted.detections, seen)
-
-    return DetectionReader(estimator, detect, tracker)
+    imaging, alone = known.skin.imaging, centroid(known, estimator, threshold)
+    finder = ContactFinder(threshold, _FRACTION * imaging.fraction, imaging.dip, imaging.bipolar)
+    physics = fit(known, estimator, threshold)
+    assert isinstance(alone, DetectionReader)
+    assert isinstance(physics, FitReader)
+    return ConfirmedReader(estimator, alone.detect, alone.tracker, physics, finder)
 
 
 def confirmed_by(fitter: ContactFitter, fitted: Sequence[Contact], seen: Sequence[Contact]) -> list[Contact]:
