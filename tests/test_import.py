@@ -95,7 +95,7 @@ def test_uef_targets_are_found_within_nine_millimetres(uef_folder: Path, length:
 
 def test_of_too_many_contacts_in_one_image_none_is_sure(uef_folder: Path, tmp_path: Path) -> None:
     """An image regularised too little has artefacts that noise alone does not explain, at the electrodes above all. A
-    fit to the data does not confirm them."""
+    fit to the data does not agree."""
     file = uef_folder / "datamat_2_1.mat"
     recording, skin = read_recording(file), Skin.load("uef2017")
     known = SkinModel(skin, skin.transfer_model(), recording.quiet, assess(recording.quiet, recording.frames))

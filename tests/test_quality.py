@@ -288,10 +288,10 @@ def test_contacts_of_data_that_are_of_another_skin_are_not_believed(tank_folder:
             assert order == range(16) or max(one.confidence for one in seen) < 0.5
 
 
-@pytest.mark.parametrize("reader", ["centroid", "confirmed"])
+@pytest.mark.parametrize("reader", ["centroid", "consensus"])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_contacts_of_a_tank_that_only_warms_up_are_not_believed(factor: float, reader: str) -> None:
-    """Of those of the image alone; a fit confirms none."""
+    """Of those of the image alone; a fit agrees on none."""
     skin = Skin.load("uef2017")
     model, random = skin.transfer_model(), np.random.default_rng(0)
     warm, beside = [], []

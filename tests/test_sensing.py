@@ -219,7 +219,7 @@ def test_any_prior_makes_an_image(prior: str) -> None:
     ("change", "message"),
     [
         ({"drive": "x"}, "no drive 'x'; choose from rim, rings, opposite, best, eq7, local, position, tracking"),
-        ({"reader": "x"}, "no reader 'x'; choose from centroid, fit, confirmed, tracked"),
+        ({"reader": "x"}, "no reader 'x'; choose from centroid, fit, consensus, tracked"),
         ({"estimator": "x"}, "no estimator 'x'; choose from gauss-newton, positive, kalman, greit"),
         ({"prior": "x"}, "no prior 'x'; choose from paper, laplacian, tikhonov, noser, matern"),
         ({"rule": "x"}, "no rule 'x'.*; choose from physical, noise figure, cross-validation"),

@@ -27,7 +27,7 @@ from ohmskin.sensing.confidence import (
     quiet_confidence,
     scaled_confidence,
 )
-from ohmskin.sensing.confirmed import confirmed
+from ohmskin.sensing.consensus import consensus
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.locator import Locator
@@ -40,7 +40,7 @@ from ohmskin.skin import Mode, Skin
 READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
     "reader",
     "ohmskin.readers",
-    {"centroid": centroid, "fit": fit, "confirmed": confirmed, "tracked": tracked, "learned": learned},
+    {"centroid": centroid, "fit": fit, "consensus": consensus, "tracked": tracked, "learned": learned},
     ModelError,
     Reader,
 )

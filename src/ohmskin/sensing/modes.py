@@ -59,9 +59,9 @@ LEARNED = Mode(
 RECORDED = Mode(
     "recorded",
     drive="recorded",
-    reader="confirmed",
+    reader="consensus",
     title="As recorded",
-    summary="The recording's pattern; contacts are those of the image that a fit to the data confirms.",
+    summary="The recording's pattern; contacts are those on which the image and a fit to the data agree.",
 )
 """The mode of recordings with a pattern of their own."""
 

@@ -1,4 +1,4 @@
-"""The reader of others' recordings: contacts of the image that a fit to the data confirms.
+"""The reader of others' recordings: contacts on which the image and a fit to the data agree.
 
 An image of large targets that conduct much better or worse than the rest has side lobes that are as sharp as targets,
 above all at the rim; a fit of discs takes targets of other shapes for several. Neither has the errors of the other.
@@ -23,12 +23,12 @@ _BELIEVED = 0.5  # confidence in a fit, below which the image alone shows them
 
 
 @dataclass(frozen=True, eq=False)
-class ConfirmedReader(DetectionReader):
-    """A `Reader` that finds contacts in the image of every frame where contacts fitted to it confirm them.
+class ConsensusReader(DetectionReader):
+    """A `Reader` that finds contacts in the image of every frame where others are fitted to the data, too.
 
     Args:
         physics: Fits contacts, and makes the image.
-        finder: Finds all that may be confirmed; `detect` finds what the image alone shows.
+        finder: Finds all on which both may agree; `detect` finds what the image alone shows.
     """
 
     physics: FitReader
@@ -50,24 +50,24 @@ class ConfirmedReader(DetectionReader):
             found = self.detect(fitted.estimate, recent)
         elif fitted.detections:
             seen = self.finder.find(fitted.image, self.estimator.cells)
-            found = confirmed_by(self.fitter, fitted.detections, seen)
+            found = agreeing(self.fitter, fitted.detections, seen)
         else:
             found = ()
         followed = self.follow(before, fitted.estimate, found)
         return changed(fitted, detections=followed.detections, contacts=followed.contacts, tracks=followed.tracks)
 
 
-def confirmed(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
-    """Contacts of the image that a fit to the data confirms, between the places of both."""
+def consensus(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
+    """Contacts on which the image and a fit to the data agree, between the places of both."""
     imaging, alone = known.skin.imaging, centroid(known, estimator, threshold)
     finder = ContactFinder(threshold, _FRACTION * imaging.fraction, imaging.dip, imaging.bipolar)
     physics = fit(known, estimator, threshold)
     assert isinstance(alone, DetectionReader)
     assert isinstance(physics, FitReader)
-    return ConfirmedReader(estimator, alone.detect, alone.tracker, physics, finder)
+    return ConsensusReader(estimator, alone.detect, alone.tracker, physics, finder)
 
 
-def confirmed_by(fitter: ContactFitter, fitted: Sequence[Contact], seen: Sequence[Contact]) -> list[Contact]:
+def agreeing(fitter: ContactFitter, fitted: Sequence[Contact], seen: Sequence[Contact]) -> list[Contact]:
     """Those contacts of an image that overlap with fitted ones, moved half way to these.
 
     Args:

@@ -1,4 +1,4 @@
-"""Contacts of the image that a fit confirms, in tanks: none invented, and nearer than those of the image alone."""
+"""Contacts on which image and fit agree: none invented, and nearer than those of the image alone."""
 
 from dataclasses import replace
 from functools import cache
@@ -14,7 +14,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes
 from ohmskin.scan import DrivePattern, Frame, adjacent, assess
 from ohmskin.sensing import RECORDED, SkinModel, build, perceive
-from ohmskin.sensing.confirmed import confirmed_by
+from ohmskin.sensing.consensus import agreeing
 from ohmskin.skin import Skin
 
 TANK = Skin.load("uef2017")
@@ -85,9 +85,9 @@ def judged(places: Floats, contacts: tuple[Contact, ...]) -> tuple[int, int, lis
     return len(places) - len(near), len(found) - len(near), near
 
 
-def test_a_fit_confirms_targets_of_many_shapes_and_no_side_lobe() -> None:
+def test_both_agree_on_targets_of_many_shapes_and_on_no_side_lobe() -> None:
     """An image alone of large targets of high contrast has nearly as many side lobes as there are targets."""
-    missed, invented, errors = (dict.fromkeys(("centroid", "confirmed"), 0.0) for _ in range(3))
+    missed, invented, errors = (dict.fromkeys(("centroid", "consensus"), 0.0) for _ in range(3))
     for seed in range(24):
         places, quiet, frame = scene(seed)
         known = SkinModel(TANK, TANK.transfer_model(), quiet, assess(quiet, [frame]))
@@ -98,16 +98,16 @@ def test_a_fit_confirms_targets_of_many_shapes_and_no_side_lobe() -> None:
             invented[name] += more
             errors[name] += sum(near)
     assert invented["centroid"] > 10  # 37 were measured
-    assert invented["confirmed"] <= 1
-    assert missed["confirmed"] <= missed["centroid"]
-    assert errors["confirmed"] < errors["centroid"]
+    assert invented["consensus"] <= 1
+    assert missed["consensus"] <= missed["centroid"]
+    assert errors["consensus"] < errors["centroid"]
 
 
 def test_one_press_on_a_skin_that_is_not_its_model_is_one_contact() -> None:
     """Electrodes 3 mm off, a sheet uneven by 20 %, a weaker layer, drift: an image alone has some contacts more."""
     given = weaker_skin(31, 30)
     known = SkinModel(given.skin, given.skin.transfer_model(), given.quiet)
-    missed, invented, errors = (dict.fromkeys(("centroid", "confirmed"), 0.0) for _ in range(3))
+    missed, invented, errors = (dict.fromkeys(("centroid", "consensus"), 0.0) for _ in range(3))
     for name in missed:
         sensor = build(replace(RECORDED, reader=name), known, Fixed(given.pattern))
         for frame, place in zip(given.frames, given.positions, strict=True):
@@ -117,9 +117,9 @@ def test_one_press_on_a_skin_that_is_not_its_model_is_one_contact() -> None:
             invented[name] += more
             errors[name] += sum(near)
     assert invented["centroid"] > 10  # 93 were measured
-    assert invented["confirmed"] <= 1
-    assert missed["confirmed"] == missed["centroid"] == 0
-    assert errors["confirmed"] < errors["centroid"]
+    assert invented["consensus"] <= 1
+    assert missed["consensus"] == missed["centroid"] == 0
+    assert errors["consensus"] < errors["centroid"]
 
 
 def at(x: float, strength: float, radius: float | None = None) -> Contact:
@@ -127,11 +127,11 @@ def at(x: float, strength: float, radius: float | None = None) -> Contact:
     return Contact((x, 0.0), 4e-4, strength, 1.0, 1.0, radius=radius)
 
 
-def test_contacts_lie_half_way_to_what_confirms_them() -> None:
+def test_contacts_lie_half_way_to_those_fitted() -> None:
     fitter = SkinModel(TANK, TANK.transfer_model(), scene(0)[1]).fitter
     seen = [at(0.0, 1e-3), at(0.07, 1e-3), at(-0.07, -1e-3)]
     fitted = [at(0.002, 3e-3, 8e-3), at(0.01, 1e-3, 8e-3), at(-0.07, 1e-3, 8e-3)]
-    (found,) = confirmed_by(fitter, fitted, seen)  # there is nothing at the second, and of another sign at the third
+    (found,) = agreeing(fitter, fitted, seen)  # there is nothing at the second, and of another sign at the third
     assert found.position == pytest.approx((0.002, 0.0))  # half way to the middle of two
     assert (found.confidence, found.strength) == (1.0, 1e-3)
 
@@ -143,7 +143,7 @@ def test_what_discs_do_not_explain_is_read_off_the_image_alone() -> None:
     model = TransferModel(TANK.mesh(), Electrodes.at(TANK.electrodes.positions[wires]), TANK.sheet.conductivity)
     known = SkinModel(TANK, model, quiet)
     fitted, found, alone = (
-        perceive(known, frame, replace(RECORDED, reader=reader)) for reader in ("fit", "confirmed", "centroid")
+        perceive(known, frame, replace(RECORDED, reader=reader)) for reader in ("fit", "consensus", "centroid")
     )
     assert fitted.belief.unexplained > 0.3
     assert found.detections
