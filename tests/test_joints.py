@@ -59,16 +59,16 @@ def merger() -> Iterator[JointMerger]:
 def test_positions_of_the_bodys_joints_are_passed_on_whoever_tells_them(
     merger: JointMerger, boards: BoardReader
 ) -> None:
-    merger.take(message(["wheel", "elbow"], [7.0, -1.25], time.time() - 0.05))
+    merger.take(message(["wheel", "elbow"], [7.0, -1.25], time.time() - 1.0))
     first = received(boards)
     assert first is not None
     assert first["positions"] == {"elbow": -1.25}
-    assert 0.05 <= time.monotonic() - first["time"] < 5.0
+    assert 1.0 <= time.monotonic() - first["time"] < 5.0
     merger.take(message(["wrist"], [0.5]))  # another publisher's
     second = received(boards)
     assert second is not None
     assert second["positions"] == {"elbow": -1.25, "wrist": 0.5}
-    assert second["time"] == pytest.approx(first["time"], abs=1e-3)  # all are as old as the oldest
+    assert second["time"] == pytest.approx(first["time"], abs=0.5)  # all are as old as the oldest
 
 
 @pytest.mark.parametrize("ahead", [-1e9, -1e3, 1.0, 1e5])
