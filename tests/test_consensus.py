@@ -1,8 +1,11 @@
 """Contacts on which image and fit agree: none invented, and nearer than those of the image alone."""
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 from flawed import weaker_skin
@@ -87,27 +90,30 @@ def judged(places: Floats, contacts: tuple[Contact, ...]) -> tuple[int, int, lis
 
 def test_both_agree_on_targets_of_many_shapes_and_on_no_side_lobe() -> None:
     """An image alone of large targets of high contrast has nearly as many side lobes as there are targets."""
-    missed, invented, errors = (dict.fromkeys(("centroid", "consensus"), 0.0) for _ in range(3))
+    missed, invented = (dict.fromkeys(("centroid", "consensus"), 0) for _ in range(2))
+    targets, errors = 0, {name: list[float]() for name in missed}
     for seed in range(24):
         places, quiet, frame = scene(seed)
+        targets += len(places)
         known = SkinModel(TANK, TANK.transfer_model(), quiet, assess(quiet, [frame]))
         for name in missed:
             seen = perceive(known, frame, replace(RECORDED, reader=name))
             lost, more, near = judged(places, seen.detections)
             missed[name] += lost
             invented[name] += more
-            errors[name] += sum(near)
-    assert invented["centroid"] > 10  # 37 were measured
-    assert invented["consensus"] <= 1
-    assert missed["consensus"] <= missed["centroid"]
-    assert errors["consensus"] < errors["centroid"]
+            errors[name] += near
+    assert invented["centroid"] > 10  # 37 here; in 100 other scenes 97, and 4 of both
+    assert invented["consensus"] < 0.1 * invented["centroid"]
+    assert missed["consensus"] < 0.15 * targets  # 6 % in these others, 5 % of the image
+    assert np.mean(errors["consensus"]) < np.mean(errors["centroid"])
 
 
 def test_one_press_on_a_skin_that_is_not_its_model_is_one_contact() -> None:
     """Electrodes 3 mm off, a sheet uneven by 20 %, a weaker layer, drift: an image alone has some contacts more."""
     given = weaker_skin(31, 30)
     known = SkinModel(given.skin, given.skin.transfer_model(), given.quiet)
-    missed, invented, errors = (dict.fromkeys(("centroid", "consensus"), 0.0) for _ in range(3))
+    missed, invented = (dict.fromkeys(("centroid", "consensus"), 0) for _ in range(2))
+    errors = {name: list[float]() for name in missed}
     for name in missed:
         sensor = build(replace(RECORDED, reader=name), known, Fixed(given.pattern))
         for frame, place in zip(given.frames, given.positions, strict=True):
@@ -115,11 +121,11 @@ def test_one_press_on_a_skin_that_is_not_its_model_is_one_contact() -> None:
             lost, more, near = judged(place[None], seen.detections)
             missed[name] += lost
             invented[name] += more
-            errors[name] += sum(near)
+            errors[name] += near
     assert invented["centroid"] > 10  # 93 were measured
-    assert invented["consensus"] <= 1
+    assert invented["consensus"] < 0.1 * invented["centroid"]
     assert missed["consensus"] == missed["centroid"] == 0
-    assert errors["consensus"] < errors["centroid"]
+    assert np.mean(errors["consensus"]) < np.mean(errors["centroid"])
 
 
 def at(x: float, strength: float, radius: float | None = None) -> Contact:
@@ -149,6 +155,21 @@ def test_what_discs_do_not_explain_is_read_off_the_image_alone() -> None:
     assert found.detections
     assert found.detections == alone.detections
     assert max(one.confidence for one in found.detections) < 0.5
+
+
+def test_of_too_many_contacts_in_one_image_the_command_says_so(tmp_path: Path) -> None:
+    """Of an image regularised too little, where no disc explains what exchanged wires measure."""
+    _, (quiet, _), frame = scene(0)
+    wires = np.array([0, 5, 2, 3, 4, 1, *range(6, 16)])
+    rows = zip(wires[frame.pattern.quadruples].tolist(), quiet.voltages, frame.voltages, strict=True)
+    lines = [f"{','.join(map(str, electrodes))},{before},{after}" for electrodes, before, after in rows]
+    told = ["# skin = uef2017", "# current = 1e-3", "source,sink,plus,minus,reference,touched"]
+    (tmp_path / "exchanged.csv").write_text("\n".join([*told, *lines]) + "\n")
+    done = command_line.ohmskin("image", "exchanged.csv", "--prior", "tikhonov", "--json", cwd=tmp_path)
+    contacts = json.loads(done.stdout.splitlines()[-1])["contacts"]
+    assert len(contacts) > 16
+    assert max(contact["confidence"] for contact in contacts) == 0.0
+    assert f"{len(contacts)} contacts in one image are more than 16 electrodes show" in done.stderr
 
 
 def test_contacts_are_followed_from_frame_to_frame() -> None:

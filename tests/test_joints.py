@@ -59,6 +59,7 @@ def merger() -> Iterator[JointMerger]:
 def test_positions_of_the_bodys_joints_are_passed_on_whoever_tells_them(
     merger: JointMerger, boards: BoardReader
 ) -> None:
+    begin = time.monotonic()
     merger.take(message(["wheel", "elbow"], [7.0, -1.25], time.time() - 1.0))
     first = received(boards)
     assert first is not None
@@ -68,7 +69,8 @@ def test_positions_of_the_bodys_joints_are_passed_on_whoever_tells_them(
     second = received(boards)
     assert second is not None
     assert second["positions"] == {"elbow": -1.25, "wrist": 0.5}
-    assert second["time"] == pytest.approx(first["time"], abs=0.5)  # all are as old as the oldest
+    took = time.monotonic() - begin  # within which a busy machine may look at its clocks
+    assert second["time"] == pytest.approx(first["time"], abs=took)  # all are as old as the oldest
 
 
 @pytest.mark.parametrize("ahead", [-1e9, -1e3, 1.0, 1e5])

@@ -1,4 +1,4 @@
-"""The reader of others' recordings: contacts on which the image and a fit to the data agree.
+"""The reader of recordings with a pattern of their own: contacts on which the image and a fit to the data agree.
 
 An image of large targets that conduct much better or worse than the rest has side lobes that are as sharp as targets,
 above all at the rim; a fit of discs takes targets of other shapes for several. Neither has the errors of the other.
