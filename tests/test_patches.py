@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, ClassVar
@@ -38,7 +38,7 @@ from ohmskin.client import Board, Client, Patch, PatchState, PlacedContact
 from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
-from ohmskin.skin import Skin, VirtualSkin
+from ohmskin.skin import Calibration, Skin, VirtualSkin
 from ohmskin.view.overview import BoardsPage, Overview
 
 URDF = """
@@ -478,6 +478,25 @@ def test_how_far_the_calibration_of_a_patch_is_is_told(monkeypatch: pytest.Monke
     settings = {"device": "virtual:", "skin": skin.dump(), "mode": "12B", "patch": patch, "name": "torso.front"}
     sense({**settings, "demo": False, "images": 10.0}, answer, stop)
     assert any(re.fullmatch(r"calibrating: 50% measured, about \d+ s left", message) for message in told)
+
+
+def test_a_patch_is_fitted_where_it_is_unlike_its_description(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin = Skin.parse("[imaging]\nmesh_size = 9e-3\n")
+    places = skin.electrodes.positions + 4e-3 * (np.arange(16) >= 12)[:, None]
+    crooked = replace(skin, calibration=Calibration(positions=tuple(map(tuple, places.tolist()))))
+    monkeypatch.setattr("ohmskin.body.patch.connect", lambda *_, **__: DirectDevice(VirtualSkin(crooked)))
+    told, stop = list[str](), threading.Event()
+
+    def answer(state: str = "", message: str = "", **_: float) -> None:
+        told.append(message)
+        if not state and not message:  # a frame and its image are published
+            stop.set()
+
+    patch = asdict(Patch("front", "base"))
+    settings = {"device": "tcp://front", "skin": skin.dump(), "mode": "12B", "patch": patch, "name": "torso.front"}
+    sense({**settings, "demo": False, "images": 10.0}, answer, stop)
+    assert any("estimating electrodes and sheet" in message for message in told)
+    assert any("% of the quiet voltages unexplained before" in message for message in told)
 
 
 def patch_processes(pid: int) -> list[psutil.Process]:

@@ -1,14 +1,19 @@
 """Self-calibration: where electrodes are and how even a sheet is, told from its quiet voltages."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
+from subprocess import PIPE, run
 
 import numpy as np
 import pytest
 from direct import DirectDevice
+from live_process import serving
 
-from ohmskin.calibrate import calibrate_quiet
+from ohmskin.calibrate import calibrate_quiet, skin_as_measured
 from ohmskin.calibrate.sheet import SheetFit, _Unknowns, fit_sheet
 from ohmskin.drive import complete_pattern
+from ohmskin.engine import Engine
 from ohmskin.errors import DataError, SkinError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.flaws import Flaw, assumed_model
@@ -18,7 +23,8 @@ from ohmskin.evaluate.worlds import contact
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Disc, Electrodes, mesh_domain
-from ohmskin.skin import Calibration, Skin, VirtualSkin
+from ohmskin.mcap.reader import RecordingReader
+from ohmskin.skin import Calibration, Fault, Skin, VirtualSkin
 
 PAPER = Skin.load("paper")
 PATTERN = complete_pattern(PAPER.electrodes)
@@ -139,7 +145,7 @@ def test_missing_channels_and_a_disc_are_no_hindrance() -> None:
 def crooked() -> Skin:
     """A skin whose inner electrodes are off, and whose sheet is uneven."""
     moved = PAPER.electrodes.positions.copy()
-    moved[12:] += 2e-3 * np.array([[1, 0], [0, -1], [-0.7, 0.7], [0.6, 0.8]])
+    moved[12:] += 3e-3 * np.array([[1, 0], [0, -1], [-0.7, 0.7], [0.6, 0.8]])
     waves = np.zeros(36)
     waves[[1, 7, 12]] = 0.04, -0.05, 0.03
     places = tuple(map(tuple, moved.tolist()))
@@ -174,6 +180,66 @@ def test_a_skin_that_is_not_like_that_keeps_its_description_and_says_so() -> Non
     found = calibrate_quiet(DirectDevice(VirtualSkin(other, 1)), PAPER, scans=3, report=told.append)
     assert (found.positions, found.log_conductivity) == ((), ())
     assert told[0].startswith("the described electrodes and sheet are kept: the quiet skin is not the one described")
+
+
+def off_by(skin: Skin, true: Skin) -> float:
+    """Of inner electrodes, root mean square (m)."""
+    return float(np.sqrt(np.mean((skin.electrodes.positions - true.electrodes.positions)[12:] ** 2)))
+
+
+def test_a_skin_is_fitted_before_the_loop_starts_where_it_is_unlike_its_description(crooked: Skin) -> None:
+    told: list[str] = []
+    found = skin_as_measured(DirectDevice(VirtualSkin(crooked, 1)), PAPER, "1.2.3", told.append, told.append)
+    assert off_by(found, crooked) < 0.2 * off_by(PAPER, crooked)
+    assert found.calibration.version == "1.2.3"
+    assert len(told) == 2
+    assert "unlike the description: estimating electrodes and sheet" in told[0]
+    assert "unexplained before" in told[1]
+
+
+def test_a_skin_as_described_or_calibrated_is_not_fitted(crooked: Skin) -> None:
+    told: list[str] = []
+    sound, wrong = DirectDevice(VirtualSkin(PAPER, 1)), DirectDevice(VirtualSkin(crooked, 1))
+    assert skin_as_measured(sound, PAPER, report=told.append, begins=told.append) is PAPER
+    calibrated = replace(PAPER, calibration=Calibration().made_now(PAPER.digest, ""))
+    assert skin_as_measured(wrong, calibrated, report=told.append, begins=told.append) is calibrated
+    sound.gone = True
+    assert skin_as_measured(sound, PAPER, report=told.append, begins=told.append) is PAPER
+    assert not told
+
+
+def test_a_skin_that_cannot_be_fitted_is_taken_as_described_and_that_is_said() -> None:
+    told: list[str] = []
+    exchanged = DirectDevice(VirtualSkin(PAPER, 1, faults=[Fault("swap", (3, 9))]))
+    assert skin_as_measured(exchanged, PAPER, report=told.append) is PAPER
+    assert len(told) == 1
+    assert told[0].startswith("electrodes and sheet are taken as described: the wiring is faulty: ")
+
+
+def test_a_loop_tells_of_a_skin_that_is_unlike_its_description(crooked: Skin) -> None:
+    told: list[str] = []
+    fitted = skin_as_measured(DirectDevice(VirtualSkin(crooked, 1)), PAPER)
+    with Engine(lambda: DirectDevice(VirtualSkin(crooked, 1)), PAPER, report=told.append) as engine:
+        engine.calibrate()
+        assert "unlike those of the skin as described" in engine.message
+    assert len(told) == 1
+    assert "`ohmskin calibrate`" in told[0]
+    told.clear()
+    with Engine(lambda: DirectDevice(VirtualSkin(crooked, 1)), fitted, report=told.append) as engine:
+        engine.calibrate()
+    assert not told
+
+
+def test_a_recording_holds_the_skin_as_it_was_fitted(crooked: Skin, tmp_path: Path) -> None:
+    own, file = tmp_path / "crooked.toml", tmp_path / "touch.mcap"
+    own.write_text(crooked.dump(), encoding="utf-8")
+    with serving("--skin", str(own)) as (url, _):
+        command = ["record", str(file), "--device", url, "--skin", "paper", "--seconds", "0.5"]
+        said = run([sys.executable, "-m", "ohmskin", *command], stdout=PIPE, text=True, check=True).stdout
+    with RecordingReader(file) as reader:
+        recorded = reader.skin
+    assert "estimating electrodes and sheet" in said
+    assert off_by(Skin.parse(recorded), crooked) < 0.2 * off_by(PAPER, crooked)
 
 
 @pytest.mark.parametrize(

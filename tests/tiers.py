@@ -200,6 +200,7 @@ LONG = {
     "test_shell_commands.py::test_a_command_runs": "that every command is run or listed",
     "test_shell_commands.py::test_what_pip": "that the extras are there",
     "test_several.py::test_two_presses_are_two*[[]0.025-9-16T": "the same farther apart",
+    "test_sheet.py::test_a_recording_holds": "the fit before the loop starts, and skins in recordings",
     "test_sheet.py::test_a_skin_that_is_not": "electrodes and sheet found again",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",

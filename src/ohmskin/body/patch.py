@@ -10,6 +10,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import ohmskin
+from ohmskin.calibrate import skin_as_measured
 from ohmskin.child import begin, when_input_ends
 from ohmskin.client.board import Board
 from ohmskin.client.contacts import patches_from
@@ -43,9 +45,16 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     skin, device = Skin.parse(settings["skin"]), settings["device"]
     (patch,) = patches_from({"patches": [settings["patch"]]})
     part = Part.WITHOUT_FITS if mode_named(skin, settings["mode"]).reader == "centroid" else Part.ALL
-    ahead = partial(compile_ahead, lambda sentence, _: answer(message=sentence), part)
+
+    def say(sentence: str) -> None:
+        answer(message=sentence)
+
+    ahead = partial(compile_ahead, lambda sentence, _: say(sentence), part)
+    first = list[Device]()  # is there already when an engine opens it
 
     def opened() -> Device:
+        if first:
+            return first.pop()
         if device == "virtual:":
             return connect(device, skin=skin, meanwhile=ahead)
         ahead()
@@ -57,7 +66,10 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     ):
         while not stop.is_set():
             try:
-                with Engine(opened, skin, settings["mode"], lambda text: answer(message=text)) as engine:
+                first.append(opened())
+                fitted = skin_as_measured(first[0], skin, ohmskin.__version__, say, say)
+                publisher.fit(fitted)
+                with Engine(opened, fitted, settings["mode"], say) as engine:
                     commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
                     with CommandServer(settings["name"], commands) as server:
                         _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)

@@ -6,7 +6,7 @@ from ohmskin.calibrate.instrumented import ForceSampler, LoadCell, read_table
 from ohmskin.calibrate.newtons import fit_newtons
 from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
-from ohmskin.calibrate.quiet import calibrate_quiet
+from ohmskin.calibrate.quiet import calibrate_quiet, skin_as_measured
 from ohmskin.calibrate.self_test import SelfTest, self_test
 from ohmskin.calibrate.sheet import SheetFit, fit_sheet
 from ohmskin.calibrate.wiring import WiringDiagnosis, WiringFinding, diagnose, terminal_pattern
@@ -37,5 +37,6 @@ __all__ = [
     "read_places",
     "read_table",
     "self_test",
+    "skin_as_measured",
     "terminal_pattern",
 ]

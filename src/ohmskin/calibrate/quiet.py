@@ -11,14 +11,18 @@ from ohmskin.calibrate.sheet import SheetFit, fit_sheet
 from ohmskin.calibrate.wiring import diagnose, potentials, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.drive import complete_pattern
-from ohmskin.errors import DataError, DeviceError
+from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, ModelError, OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes
+from ohmskin.inverse import match_model
 from ohmskin.scan import Frame, all_pairs
+from ohmskin.sensing.identity import UNLIKE
 from ohmskin.skin import Calibration, Skin
 
 _SCANS = 24
 _TELLING = 0.02  # share of a typical pair's resistance that the mesh may be off at an electrode
+_MOST = 64  # electrodes that are fitted while a user waits
+_FEW = 8  # scans, likewise
 _FINE = 0.25  # of the estimator's edges: a mesh on which a driven electrode's resistance is right to 0.3 %
 
 
@@ -76,6 +80,45 @@ def calibrate_quiet(
     left = f"{100 * fit.before:.2g} % of the quiet voltages unexplained before, {100 * fit.after:.2g} % now"
     report(f"electrodes are off by {apart}, the sheet is uneven by {100 * fit.uneven:.2g} %: {left}")
     return skin.calibration
+
+
+def skin_as_measured(
+    device: Device,
+    skin: Skin,
+    version: str = "",
+    report: Callable[[str], None] = lambda sentence: None,
+    begins: Callable[[str], None] = lambda sentence: None,
+) -> Skin:
+    """The skin, self-calibrated if its untouched voltages are unlike those of its description.
+
+    One that was calibrated, or learned from presses, is returned as it is, and so is one whose device scans some
+    patterns only, or that cannot be fitted; the loop tells what is wrong with its quiet frames.
+
+    Args:
+        device: A device; nothing touches its skin.
+        skin: Its description.
+        version: As for `calibrate_quiet`.
+        report: Called with what was found.
+        begins: Called before electrodes and sheet are estimated, which takes some seconds.
+    """
+    recorded = device.reference or device.url.startswith("replay:")
+    if recorded or skin.calibration != Calibration() or len(skin.electrodes) > _MOST:
+        return skin
+    try:
+        match = match_model(skin.transfer_model(), scan_whole(device, complete_pattern(skin.electrodes)))
+        if match.misfit < UNLIKE:
+            return skin
+        begins(
+            f"the quiet voltages are {100 * match.misfit:.2g} % unlike the description: estimating electrodes and "
+            "sheet for now; `ohmskin calibrate` keeps them"
+        )
+        found = calibrate_quiet(device, skin, version, _FEW, report)
+    except (ModelError, *LINK_ERRORS):  # a surface without a map; the loop connects anew
+        return skin
+    except OhmskinError as error:
+        report(f"electrodes and sheet are taken as described: {error}")
+        return skin
+    return replace(skin, calibration=found) if found.positions else skin
 
 
 def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, SheetFit]:

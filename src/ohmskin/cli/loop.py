@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+import ohmskin
+from ohmskin.calibrate import skin_as_measured
 from ohmskin.cli.options import (
     AS_THE_MODE,
     Demo,
@@ -174,13 +176,18 @@ def open_loop(
     with ExitStack() as stack:
         opened, description = open_skin(device, skin, meanwhile=meanwhile)
         first = [opened]
-        recorder = None
-        if record is not None:
-            try:
-                recorder = Recorder(record, description, images)
-            except BaseException:
-                opened.close()
-                raise
+
+        def begins(sentence: str) -> None:
+            starting(sentence, None)
+            notify(sentence)
+
+        try:
+            description = skin_as_measured(opened, description, ohmskin.__version__, notify, begins)
+            recorder = None if record is None else Recorder(record, description, images)
+        except BaseException:
+            opened.close()
+            raise
+        if recorder:
             stack.push(summarise)
         if apart and not compilations and not isinstance(opened, ReplayDevice):
             compilations.append(stack.enter_context(Compilation(description)))

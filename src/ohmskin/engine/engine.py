@@ -128,7 +128,7 @@ class Engine(Closing):
             self.state, self._notices.message = before, message
             raise
         self.known = known
-        self._notices.calibrated(notes, known, bool(detected and quality))
+        self._notices.calibrated(notes, known, bool(detected), quality is not None)
         self.forget()
         self.state = State.RUNNING
         progress(1.0)

@@ -40,11 +40,11 @@ class Notices:
             self._report(message)
         self.message = message
 
-    def calibrated(self, notes: Sequence[str], known: SkinModel, detected: bool) -> None:
+    def calibrated(self, notes: Sequence[str], known: SkinModel, detected: bool, live: bool) -> None:
         """Report the outcome of a calibration: the `notes` of what was done, what remains to be doubted of what is
-        `known`, and whether a contact was `detected` just before, which may have been there."""
-        findings = known.quality.findings if known.quality else []
-        standing = "; ".join([*findings, *changed_since(known)])
+        `known`, and whether a contact was `detected` just before, which may have been there if the skin is `live`."""
+        findings, detected = known.quality.findings if known.quality else [], detected and live
+        standing = "; ".join([*findings, *changed_since(known, live)])
         for sentence in [*notes, *([standing] if standing else []), *([_DETECTED] if detected else [])]:
             self._report(sentence)
         self._faults, self._total, self._auxiliary = standing, "", AuxiliaryCheck()

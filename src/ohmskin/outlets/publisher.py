@@ -71,6 +71,10 @@ class Publisher(Closing):
             self._stack = stack.pop_all()
         self.addresses = [f"shm:{name}", *self._relay.addresses]
 
+    def fit(self, skin: Skin) -> None:
+        """Show images of the `skin` as it was fitted since, whose sheet is the same."""
+        self.raster = Raster(skin.mesh(), _PIXELS)
+
     def publish(self, touch: Touch) -> None:
         """Publish the contacts of a cycle; never waits."""
         # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
