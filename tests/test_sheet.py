@@ -216,6 +216,22 @@ def test_a_skin_that_cannot_be_fitted_is_taken_as_described_and_that_is_said() -
     assert told[0].startswith("electrodes and sheet are taken as described: the wiring is faulty: ")
 
 
+def test_a_touch_at_the_start_is_not_taken_for_electrodes_and_sheet(crooked: Skin) -> None:
+    for place in ((0.06, 0.05), (0.10, 0.16)):
+        told: list[str] = []
+        device = DirectDevice(VirtualSkin(crooked, 1))
+        device.press(1, place, 0.012, 20e3)
+        assert skin_as_measured(device, PAPER, report=told.append) is PAPER
+        assert len(told) == 1
+        assert "lift whatever touches the skin" in told[0] or "nothing touches the skin" in told[0]
+
+
+def test_a_noisy_skin_is_fitted_likewise(crooked: Skin) -> None:
+    noisy = replace(crooked, converter=replace(crooked.converter, noise=3 * crooked.converter.noise))
+    found = skin_as_measured(DirectDevice(VirtualSkin(noisy, 1)), PAPER)
+    assert off_by(found, crooked) < 0.3 * off_by(PAPER, crooked)
+
+
 def test_a_loop_tells_of_a_skin_that_is_unlike_its_description(crooked: Skin) -> None:
     told: list[str] = []
     fitted = skin_as_measured(DirectDevice(VirtualSkin(crooked, 1)), PAPER)

@@ -23,6 +23,8 @@ _SCANS = 24
 _TELLING = 0.02  # share of a typical pair's resistance that the mesh may be off at an electrode
 _MOST = 64  # electrodes that are fitted while a user waits
 _FEW = 8  # scans, likewise
+_EXPLAINED, _RELATIVE = 5e-4, 0.01  # share of quiet voltages that is left, at most, or of that before: a touch is
+# explained the worse by electrodes and waves, and contacts are then located the worse for the fit
 _FINE = 0.25  # of the estimator's edges: a mesh on which a driven electrode's resistance is right to 0.3 %
 
 
@@ -47,6 +49,13 @@ def calibrate_quiet(
         DataError: If an electrode is faulty; the message says which.
         DeviceError: If the device is a recording or has another number of electrodes.
     """
+    calibration, fit = _measured(device, skin, version, scans)
+    report(_words(fit))
+    return calibration
+
+
+def _measured(device: Device, skin: Skin, version: str, scans: int) -> tuple[Calibration, SheetFit | DataError]:
+    """The calibration, and the fit of electrodes and sheet or why there is none."""
     n_elec = len(skin.electrodes)
     if device.reference:
         raise DeviceError("a recording cannot be calibrated: it has one pattern only")
@@ -71,15 +80,21 @@ def calibrate_quiet(
         pair_resistances=_rounded(diagnosis.pair_resistances),
     ).made_now(skin.digest, version)
     try:
-        skin, fit = self_calibrated(replace(skin, calibration=found), mean, noise.typical / np.sqrt(scans))
+        deviations = noise.typical / np.sqrt(scans), noise.current / np.sqrt(scans)
+        fitted, fit = self_calibrated(replace(skin, calibration=found), mean, *deviations)
     except DataError as error:
-        report(f"the described electrodes and sheet are kept: {error}")
-        return found
+        return found, error
+    return fitted.calibration, fit
+
+
+def _words(fit: SheetFit | DataError) -> str:
+    """What a fit found, or why there is none, in a sentence."""
+    if isinstance(fit, DataError):
+        return f"the described electrodes and sheet are kept: {fit}"
     worst = int(np.argmax(fit.moved))
     apart = f"{1e3 * fit.moved.mean():.2g} mm on average, electrode {worst} by {1e3 * fit.moved[worst]:.2g} mm"
     left = f"{100 * fit.before:.2g} % of the quiet voltages unexplained before, {100 * fit.after:.2g} % now"
-    report(f"electrodes are off by {apart}, the sheet is uneven by {100 * fit.uneven:.2g} %: {left}")
-    return skin.calibration
+    return f"electrodes are off by {apart}, the sheet is uneven by {100 * fit.uneven:.2g} %: {left}"
 
 
 def skin_as_measured(
@@ -92,7 +107,8 @@ def skin_as_measured(
     """The skin, self-calibrated if its untouched voltages are unlike those of its description.
 
     One that was calibrated, or learned from presses, is returned as it is, and so is one whose device scans some
-    patterns only, or that cannot be fitted; the loop tells what is wrong with its quiet frames.
+    patterns only. Something may touch the skin nevertheless, which electrodes and sheet can take for theirs in part: a
+    fit that leaves as much unexplained is not used.
 
     Args:
         device: A device; nothing touches its skin.
@@ -112,16 +128,24 @@ def skin_as_measured(
             f"the quiet voltages are {100 * match.misfit:.2g} % unlike the description: estimating electrodes and "
             "sheet for now; `ohmskin calibrate` keeps them"
         )
-        found = calibrate_quiet(device, skin, version, _FEW, report)
+        calibration, fit = _measured(device, skin, version, _FEW)
     except (ModelError, *LINK_ERRORS):  # a surface without a map; the loop connects anew
         return skin
     except OhmskinError as error:
         report(f"electrodes and sheet are taken as described: {error}")
         return skin
-    return replace(skin, calibration=found) if found.positions else skin
+    if isinstance(fit, SheetFit) and fit.left > max(_EXPLAINED, _RELATIVE * fit.before):
+        report(
+            f"electrodes and sheet are taken as described: fitted ones leave {100 * fit.left:.2g} % of the quiet "
+            "voltages unexplained, as a touch does, or a sheet uneven in finer waves; lift whatever touches the skin "
+            "and start again, or run `ohmskin calibrate`"
+        )
+        return skin
+    report(_words(fit))
+    return replace(skin, calibration=calibration) if isinstance(fit, SheetFit) else skin
 
 
-def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, SheetFit]:
+def self_calibrated(skin: Skin, frame: Frame, noise: float, gain: float) -> tuple[Skin, SheetFit]:
     """The skin with its electrodes where they are, its sheet as uneven as it is, and its contacts as they are.
 
     At corners a contact impedance cannot be distinguished from the sheet about it: no four-terminal resistance
@@ -131,6 +155,7 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, Sheet
         skin: With conductivity and pair resistances of its calibration.
         frame: A quiet scan of `terminal_pattern`, best a mean of several.
         noise: Standard deviation of its voltages (V).
+        gain: Standard deviation of the relative error of its currents (1).
 
     Raises:
         DataError: If no such skin explains the scan.
@@ -151,7 +176,8 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, Sheet
     which, plus, minus = pattern.measurements.T
     volts, currents = potentials(frame, len(described)), frame.currents[which]
     resistances = (volts[which, plus] - volts[which, minus]) / currents
-    fit = fit_sheet(skin.domain, described, build, pattern, resistances, np.sqrt(2) * noise / currents)
+    scatter = np.hypot(np.sqrt(2) * noise / currents, gain * resistances)
+    fit = fit_sheet(skin.domain, described, build, pattern, resistances, scatter)
     found = with_sheet(fit.model.electrodes, fit.log_conductivity)
     mesh = found.mesh_for(found.discs, _FINE * skin.imaging.mesh_size)
     fine = TransferModel(mesh, found.discs, found.conductivity_on(mesh))

@@ -29,6 +29,7 @@ _CORNER = 4e-3  # share of the shorter side within which an electrode is at a co
 _ROUNDS = 8
 _CONVERGED = 1e-2  # share of the cost by which a round must lower it
 _EXPLAINED = 2.0  # root mean square of what is left, in standard deviations, above which the sheet is not like this
+_KNOWN = 1.1  # times the noise that is estimated of few scans, it may be
 _FARTHEST = 4.0  # standard deviations by which an electrode may be off
 
 Build = Callable[[Electrodes, Floats], TransferModel]
@@ -46,6 +47,7 @@ class SheetFit:
         before: Root mean square residual of four-terminal resistances for the described skin, at the best mean
             conductivity, as a share of their root mean square.
         after: The same of the fit.
+        noise: What of that noise alone would leave.
     """
 
     model: TransferModel
@@ -54,6 +56,12 @@ class SheetFit:
     uneven: float
     before: float
     after: float
+    noise: float = 0.0
+
+    @property
+    def left(self) -> float:
+        """Root mean square residual of the fit that is surely no noise, as a share (1)."""
+        return float(np.sqrt(max(self.after**2 - (_KNOWN * self.noise) ** 2, 0.0)))
 
 
 def fit_sheet(
@@ -83,7 +91,8 @@ def fit_sheet(
     unknowns = _Unknowns(domain, described)
     typical = float(np.sqrt(np.mean(measured**2)))
     error = _ERROR * np.maximum(np.abs(measured), _FLOOR * typical)
-    std = np.hypot(error, np.broadcast_to(noise, known.shape)[known])
+    scatter = np.broadcast_to(noise, known.shape)[known]
+    std = np.hypot(error, scatter)
 
     def at(u: Floats) -> tuple[TransferModel, Floats, float]:
         model = build(unknowns.electrodes(u), unknowns.log_conductivity(u))
@@ -124,7 +133,8 @@ def fit_sheet(
     factor = np.exp(cosines(model.mesh.centroids, domain, unknowns.log_conductivity(u)))
     mean = np.average(factor, weights=model.mesh.measures)
     uneven = float(np.sqrt(np.average((factor / mean - 1) ** 2, weights=model.mesh.measures)))
-    return SheetFit(model, unknowns.log_conductivity(u), moved, uneven, before, after)
+    noise_share = float(np.sqrt(np.mean(scatter**2))) / typical
+    return SheetFit(model, unknowns.log_conductivity(u), moved, uneven, before, after, noise_share)
 
 
 class _Unknowns:
