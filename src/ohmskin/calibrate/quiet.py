@@ -11,6 +11,7 @@ from ohmskin.calibrate.sheet import SheetFit, fit_sheet
 from ohmskin.calibrate.wiring import diagnose, potentials, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.drive import complete_pattern
+from ohmskin.drive.patterns import MOST_WHOLE
 from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, ModelError, OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes
@@ -21,8 +22,7 @@ from ohmskin.skin import Calibration, Skin
 
 _SCANS = 24
 _TELLING = 0.02  # share of a typical pair's resistance that the mesh may be off at an electrode
-_MOST = 64  # electrodes that are fitted while a user waits
-_FEW = 8  # scans, likewise
+_FEW = 8  # scans, while a user waits
 _EXPLAINED, _RELATIVE = 5e-4, 0.01  # share of quiet voltages that is left, at most, or of that before: a touch is
 # explained the worse by electrodes and waves, and contacts are then located the worse for the fit
 _FINE = 0.25  # of the estimator's edges: a mesh on which a driven electrode's resistance is right to 0.3 %
@@ -106,9 +106,9 @@ def skin_as_measured(
 ) -> Skin:
     """The skin, self-calibrated if its untouched voltages are unlike those of its description.
 
-    One that was calibrated, or learned from presses, is returned as it is, and so is one whose device scans some
-    patterns only. Something may touch the skin nevertheless, which electrodes and sheet can take for theirs in part: a
-    fit that leaves as much unexplained is not used.
+    One that was calibrated, or learned from presses, is returned as it is, and so is one of many electrodes, or whose
+    device scans some patterns only. Something may touch the skin nevertheless, which electrodes and sheet can take for
+    theirs in part: a fit that leaves as much unexplained is not used.
 
     Args:
         device: A device; nothing touches its skin.
@@ -118,7 +118,7 @@ def skin_as_measured(
         begins: Called before electrodes and sheet are estimated, which takes some seconds.
     """
     recorded = device.reference or device.url.startswith("replay:")
-    if recorded or skin.calibration != Calibration() or len(skin.electrodes) > _MOST:
+    if recorded or skin.calibration != Calibration() or len(skin.electrodes) > MOST_WHOLE:
         return skin
     try:
         match = match_model(skin.transfer_model(), scan_whole(device, complete_pattern(skin.electrodes)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ohmskin.arrays import Bools
 from ohmskin.inverse.quality import wrong_units
 from ohmskin.sensing.confidence import quiet_match
 from ohmskin.sensing.model import SkinModel
@@ -23,8 +24,7 @@ def changed_since(known: SkinModel, live: bool = False) -> list[str]:
     most, why = _LEAST, "this is another skin, or it has changed; "
     if calibration.channel_resistances:
         then = np.concatenate([calibration.resting(pattern) for pattern in patterns])
-        volts = np.concatenate([known.quiet.scan(pattern, 0).voltages for pattern in patterns])[idle]
-        most = max(most, _TIMES * known.noise / float(np.sqrt(np.nanmean(volts**2))))
+        most = max(most, _TIMES * _noise(known, idle))
         made, why = "that was learned from presses", f"{why}learn from presses of this skin"
     elif len(calibration.unexplained) == 2:
         most = max(most, _TIMES * calibration.unexplained[1])
@@ -35,7 +35,7 @@ def changed_since(known: SkinModel, live: bool = False) -> list[str]:
         match = quiet_match(known, patterns[0])
         if warnings or not live or match is None or match.doubtful:
             return [*warnings, *(match.report() if match is not None and match.doubtful else [])]
-        most, made = UNLIKE, "as described"
+        most, made = max(UNLIKE, _noise(known, idle)), "as described"
         why = "contacts are placed the worse for it; `ohmskin calibrate` estimates electrodes and sheet"
     if not calibration.channel_resistances:
         then = np.concatenate([known.model.voltages(pattern) for pattern in patterns])
@@ -48,3 +48,9 @@ def changed_since(known: SkinModel, live: bool = False) -> list[str]:
     if share <= most:
         return []
     return [f"the quiet voltages are {100 * share:.2g} % unlike those of the skin {made}, at any conductivity: {why}"]
+
+
+def _noise(known: SkinModel, idle: Bools) -> float:
+    """Noise of the quiet voltages that are `idle`, as a share of theirs (1)."""
+    volts = np.concatenate([known.quiet.scan(pattern, 0).voltages for pattern in known.quiet.patterns])[idle]
+    return known.noise / float(np.sqrt(np.nanmean(volts**2)))
