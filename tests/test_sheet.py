@@ -208,10 +208,11 @@ def test_a_skin_as_described_or_calibrated_is_not_fitted(crooked: Skin) -> None:
     assert not told
 
 
-def test_a_skin_that_cannot_be_fitted_is_taken_as_described_and_that_is_said() -> None:
+@pytest.mark.parametrize("fault", [Fault("swap", (3, 9)), Fault("open", (5,))])
+def test_a_skin_that_cannot_be_fitted_is_taken_as_described_and_that_is_said(fault: Fault) -> None:
     told: list[str] = []
-    exchanged = DirectDevice(VirtualSkin(PAPER, 1, faults=[Fault("swap", (3, 9))]))
-    assert skin_as_measured(exchanged, PAPER, report=told.append) is PAPER
+    faulty = DirectDevice(VirtualSkin(PAPER, 1, faults=[fault]))
+    assert skin_as_measured(faulty, PAPER, report=told.append) is PAPER
     assert len(told) == 1
     assert told[0].startswith("electrodes and sheet are taken as described: the wiring is faulty: ")
 
@@ -243,6 +244,14 @@ def test_a_loop_tells_of_a_skin_that_is_unlike_its_description(crooked: Skin) ->
     told.clear()
     with Engine(lambda: DirectDevice(VirtualSkin(crooked, 1)), fitted, report=told.append) as engine:
         engine.calibrate()
+    assert not told
+
+
+def test_noise_is_not_told_as_unlike_the_description() -> None:
+    noisy, told = replace(PAPER, converter=replace(PAPER.converter, noise=150 * PAPER.converter.noise)), list[str]()
+    with Engine(lambda: DirectDevice(VirtualSkin(noisy, 1)), PAPER, report=told.append) as engine:
+        engine.calibrate()
+    assert skin_as_measured(DirectDevice(VirtualSkin(noisy, 1)), PAPER, "", told.append, told.append) is PAPER
     assert not told
 
 

@@ -17,6 +17,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes
 from ohmskin.inverse import match_model
 from ohmskin.scan import Frame, all_pairs
+from ohmskin.scan.repeats import rms
 from ohmskin.sensing.identity import UNLIKE
 from ohmskin.skin import Calibration, Skin
 
@@ -121,11 +122,16 @@ def skin_as_measured(
     if recorded or skin.calibration != Calibration() or len(skin.electrodes) > MOST_WHOLE:
         return skin
     try:
-        match = match_model(skin.transfer_model(), scan_whole(device, complete_pattern(skin.electrodes)))
-        if match.misfit < UNLIKE:
+        one, other = (scan_whole(device, complete_pattern(skin.electrodes)) for _ in range(2))
+        match = match_model(skin.transfer_model(), mean_frame([one, other]))
+        with np.errstate(divide="ignore", invalid="ignore"):  # an open electrode carries no current
+            apart = one.voltages - other.voltages * one.measurement_currents / other.measurement_currents
+        noise = rms(apart) / 2 / match.signal  # of their mean
+        unlike = float(np.sqrt(max(match.misfit**2 - noise**2, 0.0)))
+        if unlike < UNLIKE:
             return skin
         begins(
-            f"the quiet voltages are {100 * match.misfit:.2g} % unlike the description: estimating electrodes and "
+            f"the quiet voltages are {100 * unlike:.2g} % unlike the description: estimating electrodes and "
             "sheet for now; `ohmskin calibrate` keeps them"
         )
         calibration, fit = _measured(device, skin, version, _FEW)

@@ -56,7 +56,7 @@ class SheetFit:
     uneven: float
     before: float
     after: float
-    noise: float = 0.0
+    noise: float
 
     @property
     def left(self) -> float:
