@@ -28,8 +28,8 @@ from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
-_DRIFT = 0.25  # share of the signal that contacts leave, from which on it is drift,
-_SURE = 2.0  # if that is surely more than noise (deviations),
+_DRIFT = 0.25  # share of the signal that contacts leave, beyond which it is drift,
+_SURE = 2.0  # if noise does not explain what is beyond (deviations),
 _LITTLE = 10.0  # and all is little (squared size over noise)
 _MEAN = 12  # frames of few injections, over which a mean of what contacts leave doubts them, too
 
@@ -279,7 +279,7 @@ class FitReader:
 
         Of the signal beyond noise, `signal` is all, `left` what they leave.
         """
-        sure = left > max(_DRIFT * signal, _SURE * np.sqrt(2 * nominal.count))
+        sure = left > _DRIFT * signal + _SURE * np.sqrt(2 * nominal.count)
         return bool(len(solution.params)) and sure and signal < _LITTLE * nominal.count
 
 
