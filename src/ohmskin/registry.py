@@ -4,13 +4,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, wraps
-from importlib import metadata
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from ohmskin.errors import OhmskinError, shown
+
+if TYPE_CHECKING:  # importing it takes a sixth of the time of `ohmskin --help`
+    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -26,7 +27,7 @@ class Plugin:
     """
 
     noun: str
-    entry: EntryPoint
+    entry: "EntryPoint"
     error: type[OhmskinError]
 
     def __str__(self) -> str:
@@ -141,7 +142,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return (getattr(thing, "__doc__", None) or name).strip().splitlines()[0].rstrip(".")
 
     @property
-    def offered(self) -> tuple[EntryPoint, ...]:
+    def offered(self) -> "tuple[EntryPoint, ...]":
         """What other packages register."""
         return tuple(entry_points(self.group))
 
@@ -164,11 +165,13 @@ class Registry(Mapping[str, T], Generic[T]):
         return called
 
 
-def entry_points(group: str) -> Iterable[EntryPoint]:
+def entry_points(group: str) -> "Iterable[EntryPoint]":
     """Those of a group, of all installed packages."""
-    return cast(Iterable[EntryPoint], _installed().select(group=group))
+    return cast("Iterable[EntryPoint]", _installed().select(group=group))
 
 
 @cache  # finding them takes 30 ms
 def _installed() -> Any:  # what it is depends on the version of Python
+    from importlib import metadata  # here: only what looks for plug-ins needs it
+
     return metadata.entry_points()
