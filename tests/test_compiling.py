@@ -87,18 +87,6 @@ def without(functions: str, kept: Path) -> Path:
     return kept
 
 
-def test_a_command_says_so_on_its_first_call_and_only_then(partly: Path) -> None:
-    first, second = run(COMMAND, cache=partly), run(COMMAND, cache=partly)
-    assert "compiling, once on this machine" in first.stderr
-    assert "compiling" not in second.stderr
-
-
-def test_a_loop_has_it_as_its_message_while_it_lasts(partly: Path) -> None:
-    *told, then = run(LOOP, cache=partly).stdout.splitlines()
-    assert any(line.startswith("compiling, once on this machine") for line in told)
-    assert then == "then ''"
-
-
 def test_the_skin_is_felt_while_the_default_mode_is_compiled_which_follows_by_itself(tmp_path: Path) -> None:
     run(TOUCHED, "16P")  # compiles what is missed by nobody below
     kept = without("*refit*", tmp_path / "numba")
@@ -128,6 +116,18 @@ def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
     assert left == "0"
     if mode == "16P":
         assert unknown == "0", "make ohmskin.engine.signatures anew: .venv/bin/python tools/signatures.py"
+
+
+def test_a_command_says_so_on_its_first_call_and_only_then(partly: Path) -> None:
+    first, second = run(COMMAND, cache=partly), run(COMMAND, cache=partly)
+    assert "compiling, once on this machine" in first.stderr
+    assert "compiling" not in second.stderr
+
+
+def test_a_loop_has_it_as_its_message_while_it_lasts(partly: Path) -> None:
+    *told, then = run(LOOP, cache=partly).stdout.splitlines()
+    assert any(line.startswith("compiling, once on this machine") for line in told)
+    assert then == "then ''"
 
 
 def test_nothing_is_left_to_compile_in_the_mode_that_stands_in_while_the_default_one_is_compiled() -> None:

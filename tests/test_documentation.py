@@ -36,7 +36,7 @@ BESIDE = {  # so that they end by themselves, and press the skin that is there
     "patches": "--headless --seconds=2",
     "press": "--device=tcp://127.0.0.1:7155",
     "robot": "--pokes=1",
-    "--body": "--hugs=1 --self-touches=1 --free=1",
+    "--body": "--hugs=0 --self-touches=0 --free=1",  # these in test_robot.py
     "reproduce": "--only=fig3 --seeds=1 --noise=45 --amplitude=0.1 --jobs=1",
 }
 ELSEWHERE = {  # what cannot be run here, and what runs it

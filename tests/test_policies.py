@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from importlib import import_module
 from itertools import product
 from pathlib import Path
@@ -69,6 +70,7 @@ TINY = policies.Settings(
     period=5.0,
     timed=10,
 )
+REPORTED = replace(TINY, side=1)
 
 
 # --- statistics and verdicts ------------------------------------------------------------------------------------------
@@ -476,7 +478,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(plan, "WITH_DRIVEN", {name: WITH_DRIVEN[name] for name in ("none", TOLD)})
         patch.setattr(plan, "MODES", ("16P",))
         patch.setattr(plan, "CORNERS", 2)
-        assert policies.compare(folder, TINY, jobs=1) == folder / "report.html"
+        assert policies.compare(folder, REPORTED, jobs=1) == folder / "report.html"
     return folder
 
 
@@ -515,7 +517,7 @@ def test_a_second_run_takes_results_from_the_cache_but_times_anew(report: Path, 
     seen: list[tuple[str, bool]] = []
     policies.compare(
         tmp_path,
-        TINY,
+        REPORTED,
         ("static", "cost"),
         report / "cache",
         jobs=1,
