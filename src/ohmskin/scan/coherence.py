@@ -15,13 +15,11 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Bools, Floats, Ints
-from ohmskin.scan.baseline import Difference
-from ohmskin.scan.pairs import n_pairs, pair_numbers
+from ohmskin.scan.baseline import Difference, terms_of
+from ohmskin.scan.pairs import SIGNS, Pairs, n_pairs
 from ohmskin.scan.pattern import DrivePattern, joined
 
 _SINGULAR = 1e-9  # share of its own information that is left of a resistance beside the others, below which it has none
-_ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
-_SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
 
 @dataclass(frozen=True)
@@ -177,12 +175,11 @@ def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats, int]
     """The numbers (n_meas, 5) of the two-terminal resistances behind each voltage, among those alone that the pattern
     tells of, the last its injection's own; their signs: 0 for the last one, and for the F_ii = 0 of a driven electrode;
     and how many they are."""
-    ends = pattern.quadruples[:, _ENDS]
-    columns = pair_numbers(n_elec)[ends[..., 0], ends[..., 1]]
-    told = np.zeros(n_pairs(n_elec) + 1, bool)
+    columns, none = terms_of(pattern, Pairs.all(n_elec)).T, n_pairs(n_elec)
+    told = np.zeros(none + 1, bool)
     told[columns] = True
-    told[-1] = True  # of no pair, the last one
-    signs = np.append(_SIGNS, 0.0) * (ends[..., 0] != ends[..., 1])
+    told[none] = True  # of no pair, the last one
+    signs = np.append(SIGNS, 0.0) * (columns != none)
     return np.ascontiguousarray((np.cumsum(told) - 1)[columns]), signs, int(told.sum()) - 1
 
 

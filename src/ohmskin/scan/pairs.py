@@ -9,7 +9,7 @@ Where many electrodes cover a large skin, only pairs of near ones are driven and
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 
 import numpy as np
@@ -26,14 +26,20 @@ class Pairs(ReadOnly):
     Args:
         n_elec: Number of electrodes.
         ends: (n_pairs, 2) the electrodes of each pair, the lower one first, in rising order.
+
+    Attributes:
         numbers: (n_elec, n_elec) the number of each pair; n_pairs of none.
     """
 
     n_elec: int
     ends: Ints
-    numbers: Ints
+    numbers: Ints = field(init=False)
 
     def __post_init__(self) -> None:
+        numbers = np.full((self.n_elec, self.n_elec), len(self.ends), np.int64)
+        i, j = self.ends.T
+        numbers[i, j] = numbers[j, i] = np.arange(len(self.ends))
+        object.__setattr__(self, "numbers", numbers)
         lock(self)
 
     @classmethod
@@ -46,11 +52,7 @@ class Pairs(ReadOnly):
                 itself are left out.
         """
         ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
-        if len(ends) == n_pairs(n_elec):
-            return Pairs.all(n_elec)
-        numbers = np.full((n_elec, n_elec), len(ends), np.int64)
-        numbers[tuple(ends.T)] = numbers[tuple(ends.T[::-1])] = np.arange(len(ends))
-        return cls(n_elec, ends, numbers)
+        return Pairs.all(n_elec) if len(ends) == n_pairs(n_elec) else cls(n_elec, ends)
 
     @staticmethod
     def all(given: "Pairs | int") -> "Pairs":
@@ -86,26 +88,22 @@ class Pairs(ReadOnly):
         Args:
             quadruples: (n, 4) source, sink, plus, minus of each.
         """
-        return self.whole or not (self.numbers[terms(quadruples)] == len(self))[_distinct(quadruples)].any()
+        i, j = terms(quadruples)
+        return self.whole or not ((self.numbers[i, j] == len(self)) & (i != j)).any()  # a driven electrode's F_ii = 0
 
 
 @cache
 def _all(n_elec: int) -> Pairs:
-    return Pairs(n_elec, all_pairs(n_elec), pair_numbers(n_elec))
+    return Pairs(n_elec, all_pairs(n_elec))
 
 
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3]])  # of F_ad, F_bc, F_ac and F_bd in a measurement
+SIGNS = np.array([0.5, 0.5, -0.5, -0.5])  # theirs in it
 
 
 def terms(quadruples: Ints) -> tuple[Ints, Ints]:
     """The ends, (n, 4) each, of the two-terminal resistances F_ad, F_bc, F_ac and F_bd behind measurements (n, 4)."""
     return quadruples[:, _ENDS[:, 0]], quadruples[:, _ENDS[:, 1]]
-
-
-def _distinct(quadruples: Ints) -> np.ndarray:
-    one, other = terms(quadruples)
-    distinct: np.ndarray = one != other  # of a driven electrode that is also measured, F_ii = 0
-    return distinct
 
 
 def pairs_measured(n_elec: int, measurements: Iterable[Ints]) -> Pairs:
@@ -126,20 +124,7 @@ def all_pairs(n_elec: int) -> Ints:
 
 def pair_index(a: ArrayLike, b: ArrayLike, n_elec: int) -> Ints:
     """The number of each pair {a, b}, a != b, among all pairs of `n_elec` electrodes."""
-    a, b = np.asarray(a), np.asarray(b)
-    i, j = np.minimum(a, b), np.maximum(a, b)
-    index: Ints = i * n_elec - i * (i + 1) // 2 + j - i - 1
-    return index
-
-
-@cache
-def pair_numbers(n_elec: int) -> Ints:
-    """The number of each pair (n_elec, n_elec); on the diagonal that of no pair, n_pairs."""
-    numbers = np.full((n_elec, n_elec), n_pairs(n_elec), np.int64)
-    i, j = np.triu_indices(n_elec, k=1)
-    numbers[i, j] = numbers[j, i] = np.arange(len(i))
-    numbers.setflags(write=False)
-    return numbers
+    return np.asarray(Pairs.all(n_elec).numbers[np.asarray(a), np.asarray(b)])
 
 
 def two_terminal(form: Floats, pairs: Pairs | None = None) -> Floats:

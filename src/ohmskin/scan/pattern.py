@@ -13,9 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.arrays import Ints, ReadOnly
 from ohmskin.errors import PatternError
-from ohmskin.scan.pairs import Pairs, terms
-
-_SIGNS = np.array([0.5, 0.5, -0.5, -0.5])  # of F_ad, F_bc, F_ac and F_bd in a measurement
+from ohmskin.scan.pairs import SIGNS, Pairs, terms
 
 
 @dataclass(frozen=True)
@@ -156,7 +154,7 @@ class DrivePattern(ReadOnly):
         self.check(pairs.n_elec)
         i, j = terms(self.quadruples)
         distinct = i != j  # of a driven electrode that is also measured, F_ii = 0
-        signs, columns = np.broadcast_to(_SIGNS, i.shape)[distinct], pairs.index(i, j)[distinct]
+        signs, columns = np.broadcast_to(SIGNS, i.shape)[distinct], pairs.index(i, j)[distinct]
         ends = np.append(0, distinct.sum(axis=1).cumsum())
         rows = sp.csr_array((signs, columns, ends), shape=(self.n_meas, len(pairs)))
         rows.sum_duplicates()
