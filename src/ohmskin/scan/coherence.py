@@ -83,7 +83,7 @@ class NetworkData:
 
     def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: InstrumentErrors) -> None:
         patterns = tuple(scan.pattern for scan in scans)
-        whole = joined(patterns)
+        self._pattern = whole = joined(patterns)
         self.quadruples, self._driven, self._n_elec = whole.quadruples, whole.driven, n_elec
         self.injection = whole.injection_numbers
         self.scan: Ints = np.repeat(np.arange(len(scans)), [pattern.n_meas for pattern in patterns])
@@ -112,12 +112,11 @@ class NetworkData:
 
     def without(self, electrodes: Iterable[int]) -> Bools:
         """Which measurements (n_meas,) involve none of these electrodes."""
-        out = list(electrodes)
-        return np.asarray(~(self.quadruples[..., None] == np.array(out, int)).any(axis=(1, 2)))
+        return ~self._pattern.uses(list(electrodes))
 
     def uses(self, electrode: int) -> Bools:
         """Whether each measurement (n_meas,) involves an electrode, driven or measured."""
-        return np.asarray((self.quadruples == electrode).any(axis=1))
+        return self._pattern.uses(electrode)
 
     def coherence(self, kept: Bools | None = None, added: Floats | None = None) -> Coherence:
         """How well they agree with one network.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Bools, Floats
 from ohmskin.errors import DataError
 from ohmskin.scan.pattern import DrivePattern
 
@@ -51,10 +51,9 @@ class NetworkFit:
 
     def __init__(self, pattern: DrivePattern, currents: Floats, volts: Floats) -> None:
         self.pattern = pattern
-        self.n_elec = int(pattern.quadruples.max()) + 1
         volts = volts.reshape(pattern.n_meas, -1)
         self.known = np.isfinite(volts).all(axis=1) & np.isfinite(currents)
-        rows = pattern.combination(self.n_elec)
+        rows = pattern.combination(pattern.last + 1)
         used = np.unique(rows.indices)  # pairs that nothing measures only take memory
         if (entries := len(used) * max(pattern.n_meas, len(used))) > _MOST_ENTRIES:
             size = (
@@ -65,21 +64,16 @@ class NetworkFit:
         self._rows /= max(float(np.abs(self._rows).max(initial=0.0)), 1e-300)  # currents of microamperes square badly
         self._volts = np.where(self.known[:, None], volts, 0.0)
         self._known_misfits: dict[bytes, GoodnessOfFit] = {}
-        self._involved = np.zeros((pattern.n_meas, self.n_elec), bool)
-        self._involved[np.arange(pattern.n_meas)[:, None], pattern.quadruples] = True
 
-    def without(self, electrodes: list[int]) -> np.ndarray:
+    def without(self, electrodes: list[int]) -> Bools:
         """Whether each measurement (n_meas,) is known and uses none of `electrodes`."""
-        used = [electrode for electrode in electrodes if electrode < self.n_elec]
-        kept: np.ndarray = self.known & ~self._involved[:, used].any(axis=1)
-        return kept
+        return self.known & ~self.pattern.uses(electrodes)
 
-    def with_only(self, electrode: int) -> np.ndarray:
+    def with_only(self, electrode: int) -> Bools:
         """Whether each measurement (n_meas,) is known and uses `electrode`."""
-        kept: np.ndarray = self.known & self._involved[:, electrode]
-        return kept
+        return self.known & self.pattern.uses(electrode)
 
-    def residuals(self, kept: np.ndarray) -> Floats:
+    def residuals(self, kept: Bools) -> Floats:
         """Residuals of the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; NaN for the
         others."""
         rows = self._rows[kept]
@@ -87,7 +81,7 @@ class NetworkFit:
         left[kept] = self._volts[kept] - rows @ np.linalg.lstsq(rows, self._volts[kept], rcond=1e-10)[0]
         return left
 
-    def misfit(self, kept: np.ndarray) -> GoodnessOfFit:
+    def misfit(self, kept: Bools) -> GoodnessOfFit:
         """The misfit of the `kept` measurements (n_meas,). Fast: no residual is computed, and results are cached."""
         if (key := kept.tobytes()) in self._known_misfits:
             return self._known_misfits[key]
