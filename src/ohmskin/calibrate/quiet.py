@@ -16,7 +16,8 @@ from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, ModelError, Ohms
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes
 from ohmskin.inverse import match_model
-from ohmskin.scan import Frame, all_pairs
+from ohmskin.scan import Frame
+from ohmskin.scan.pairs import in_series
 from ohmskin.scan.repeats import rms
 from ohmskin.sensing.identity import UNLIKE
 from ohmskin.skin import Calibration, Skin
@@ -188,11 +189,8 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float, gain: float) -> tupl
     mesh = found.mesh_for(found.discs, _FINE * skin.imaging.mesh_size)
     fine = TransferModel(mesh, found.discs, found.conductivity_on(mesh))
     beyond = calibration.pair_resistances - fine.pair_resistances
-    ends = np.zeros((len(beyond), len(described)))
-    np.put_along_axis(ends, all_pairs(len(described)), 1.0, axis=1)
-    impedances = (
-        np.linalg.lstsq(ends, beyond, rcond=None)[0] + fine.electrodes.contact_impedances / fine.electrode_extents
-    )
+    series = np.linalg.lstsq(in_series(range(len(described)), len(described)), beyond, rcond=None)[0]
+    impedances = series + fine.electrodes.contact_impedances / fine.electrode_extents
     contacts, unexplained = _rounded(np.maximum(impedances, 0.0)), _rounded(np.array([fit.before, fit.after]))
     told = replace(found.calibration, contact_impedances=contacts, unexplained=unexplained)
     return replace(skin, calibration=told), fit

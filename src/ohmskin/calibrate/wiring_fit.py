@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.scan import all_pairs, pair_index, two_terminal
+from ohmskin.scan.pairs import in_series
 from ohmskin.skin import Skin
 
 MOST_FAULTS = 6
@@ -88,10 +89,8 @@ class WiringSearch:
         columns = columns[np.isin(all_pairs(len(skin.electrodes)), alive).all(axis=1)]
         if len(self.pairs) < 3 * (self.n + 6):  # else the slow changes would explain everything
             columns = columns[:, :1]
-        ends = np.zeros((len(self.pairs), self.n))
-        ends[np.arange(len(self.pairs))[:, None], self.pairs] = 1.0
         self._weight = 1 / columns[:, 0]
-        self._around, self._columns, self._ends = around[alive], columns, ends
+        self._around, self._columns, self._ends = around[alive], columns, in_series(range(self.n), self.n)
         ratios = measured / columns[:, 0]
         self._ratios: Floats = ratios / float(np.median(ratios))
 
