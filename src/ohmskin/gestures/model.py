@@ -98,23 +98,16 @@ class GestureModel:
             if tuple(given["gestures"]) != GESTURES or tuple(given["features"]) != FEATURES:
                 raise ValueError("it is for other gestures, or has other features")
             names = ("middle", "spread", "precision", "centres")
-            middle, spread, precision, centres = (np.array(given[name], float) for name in names)
+            middle, spread, precision, centres = arrays = [np.array(given[name], float) for name in names]
             layers = tuple((np.array(w, float), np.array(b, float)) for w, b in given["layers"])
             numbers = float(given["limit"]), float(given["sure"])
             n, count = len(FEATURES), len(GESTURES)
-            shapes = [middle.shape, spread.shape, precision.shape, centres.shape]
+            shapes = [one.shape for one in arrays]
             widths = [n, *(offsets.size for _, offsets in layers)]
             fits = all(w.shape == (a, len(b)) for (w, b), a in zip(layers, widths, strict=False))
             if shapes != [(n,), (n,), (count, n, n), (count, n)] or not fits or widths[-1] != count:
                 raise ValueError("its arrays do not fit")
-            every = [
-                middle,
-                spread,
-                precision,
-                centres,
-                np.array(numbers),
-                *(part for layer in layers for part in layer),
-            ]
+            every = [*arrays, np.array(numbers), *(part for layer in layers for part in layer)]
             if not all(np.isfinite(one).all() for one in every) or not (spread > 0).all() or max(widths) > _MOST_HIDDEN:
                 raise ValueError("a number is not finite or out of range")
             return cls(middle, spread, layers, precision, centres, *numbers)

@@ -13,19 +13,20 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
-from ohmskin.gestures.episode import FEATURES
 from ohmskin.gestures.model import GESTURES, GestureModel
 from ohmskin.gestures.reader import GestureReader
 from ohmskin.gestures.simulate import Stream, simulated
 
 _HIDDEN, _FALSE = (24,), 0.005  # units; share of simulated gestures that are taken for unlike
 _SAMPLES = 6  # moments of each gesture that it is told of, the end among them
+_EMPTY = np.empty(0)
+_UNTRAINED = GestureModel(_EMPTY, _EMPTY, (), _EMPTY, _EMPTY, 0.0)  # for what needs the features alone
 
 
 def figures(stream: Stream) -> list[Floats]:
     """The figures (n_features,) of the one episode of a stream after each frame in which something touched, and at its
     end."""
-    reader = GestureReader(_NOTHING)
+    reader = GestureReader(_UNTRAINED)
     state, found = reader.start(), list[Floats]()
     for time, contacts in stream:
         before = state.episode
@@ -72,17 +73,6 @@ def train_gestures(seed: int = 0, count: int = 2400, progress: Callable[[str], N
     model = GestureModel(middle, spread, layers, np.array(precision), np.array(centres), np.inf)
     return replace(model, limit=float(np.quantile(model.distances(x), 1 - _FALSE)))
 
-
-def _nothing() -> GestureModel:
-    """An untrained model: for what needs the features alone."""
-    n, count = len(FEATURES), len(GESTURES)
-    zeros = np.zeros((count, n))
-    return GestureModel(
-        np.zeros(n), np.ones(n), ((np.zeros((n, count)), np.zeros(count)),), np.zeros((count, n, n)), zeros, 1.0
-    )
-
-
-_NOTHING = _nothing()
 
 if __name__ == "__main__":
     Path(sys.argv[1]).write_text(train_gestures(progress=print).dump() + "\n", encoding="utf-8")
