@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from importlib import import_module
-from math import isfinite
 
 from ohmskin.child import Child, begin
 from ohmskin.client.cdr import CdrDecoder
@@ -46,10 +45,11 @@ class JointMerger:
         All positions are as old as the oldest: of a joint that no message has, nothing is known.
         """
         try:
-            self._known |= self._decoded(message, since)
-            if self._known:
-                positions = {name: position for name, (position, _) in self._known.items()}
-                self._states.push(positions, time.monotonic() - min(at for _, at in self._known.values()))
+            known = self._known | self._decoded(message, since)
+            if known:
+                positions = {name: position for name, (position, _) in known.items()}
+                self._states.push(positions, time.monotonic() - min(at for _, at in known.values()))
+            self._known = known
         except OhmskinError as error:
             if (now := time.monotonic()) >= self._report_at:
                 self._report_at = now + _REPORT_EVERY
@@ -65,10 +65,7 @@ class JointMerger:
         positions = struct.unpack(f"<{len(block) // 8}d", block)
         if positions and len(positions) != len(names):
             raise PublishError(f"a message has {len(names)} joints and {len(positions)} positions")
-        found = {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
-        if wrong := next((name for name, (position, _) in found.items() if not isfinite(position)), None):
-            raise PublishError(f"joint {wrong!r} is at {found[wrong][0]}; it must be a finite number (rad or m)")
-        return found
+        return {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
 
 
 class JointsProcess(Closing):
