@@ -13,7 +13,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, quiet_nans
 from ohmskin.client.cdr import CdrDecoder, CdrEncoder
-from ohmskin.client.fields import attributes, components, numbers
+from ohmskin.client.fields import as_number, attributes, components, numbers
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, PatternError
 from ohmskin.mcap.standard import read_array
@@ -124,15 +124,11 @@ def encode_frame(frame: Frame, stamp: int, arrived: float, role: Role, mode: str
     times = *divmod(stamp, 10**9), frame.time, arrived
     start = _FRAME_START.pack(*times, sequence, frame.pattern.digest, flags, role, n_meas)
     volts, amperes = (values.astype("<f8", copy=False).tobytes() for values in (frame.voltages, frame.currents))
-    text = mode.encode() + b"\0"
+    text, there = mode.encode() + b"\0", frame.auxiliary is not None
     # behind 8-byte floats a string's length is aligned already
-    beside = b"\0" * (-(_LENGTH.size + len(text)) % 8) + _BESIDE.pack(*_auxiliary(frame.auxiliary))
+    beside = b"\0" * (-(_LENGTH.size + len(text)) % 8) + _BESIDE.pack(as_number(frame.auxiliary), there)
     parts = [b"\0\1\0\0", start[4:], volts, _COUNT.pack(n_inj), amperes, _LENGTH.pack(len(text)), text, beside]
     return b"".join(parts)
-
-
-def _auxiliary(value: float | None) -> tuple[float, int]:
-    return (float("nan"), 0) if value is None else (value, 1)
 
 
 def decode_frame(data: bytes) -> FrameRecord:
