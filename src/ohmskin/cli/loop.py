@@ -89,9 +89,9 @@ class Loop:
         skin that was opened for this command.
         """
         stop.listen()
-        over: object = stop
+        played = self.player.device if self.player and step is None else None  # whose end is that of the loop
         if self.player:
-            step, over = (self.player.lead(step), over) if step else (self.player.step, self.player.until(over))
+            step = self.player.lead(step) if step else self.player.step
         elif step is None and demo and self.engine.device.url.startswith("virtual:"):
             self.notify("a demonstration finger presses the virtual skin (--no-demo: without it)")
             step = self._pressed()
@@ -99,7 +99,7 @@ class Loop:
         gc.collect()
         gc.freeze()  # a full collection of what was set up would stop the loop for many frames
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        while not over and time.monotonic() < end:
+        while not (stop or (played and played.ended)) and time.monotonic() < end:
             if touch := step():
                 for sink in self.sinks:
                     sink(touch)

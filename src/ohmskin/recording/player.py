@@ -105,10 +105,6 @@ class Player:
 
         return led
 
-    def until(self, stop: object) -> "Ending":
-        """Whether `stop` is true, or the recording has ended."""
-        return Ending(self.device, stop)
-
     def _unless_over(self, step: Callable[[], Touch | None]) -> Touch | None:
         try:
             return step()
@@ -122,17 +118,6 @@ class Player:
 
     def _modes(self) -> list[str]:
         return [mode.name for mode in self._engine.modes.values() if self.device.playable(self._engine.drive(mode))]
-
-
-@dataclass(frozen=True)
-class Ending:
-    """True once a recording has ended, or something else says stop."""
-
-    device: ReplayDevice
-    stop: object
-
-    def __bool__(self) -> bool:
-        return bool(self.stop) or self.device.ended
 
 
 def reimage(
