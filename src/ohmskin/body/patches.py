@@ -86,7 +86,7 @@ class PatchProcess:
             self.status = {"state": "lost", "message": str(why)}
             self._report(f"patch {self._patch} has ended ({why}); restarting it")
         elif time.monotonic() > self._again:
-            self._end(0.0)
+            self.close(0.0)
             self._start()
 
     def stop(self) -> None:
@@ -95,7 +95,9 @@ class PatchProcess:
 
     def close(self, timeout: float = _STOP_TIMEOUT) -> None:
         """End it; kill it if it has not ended after so many seconds. Safe to call twice."""
-        self._end(timeout)
+        self._child.end(timeout)
+        self._thread.join()
+        self._child.close()
 
     def _start(self) -> None:
         self._again = 0.0
@@ -113,11 +115,6 @@ class PatchProcess:
                         self._report(f"patch {self._patch}: {told['message']}")
                     self.status = self.status | told
                 self._news.set()
-
-    def _end(self, timeout: float) -> None:
-        self._child.end(timeout)
-        self._thread.join()
-        self._child.close()
 
 
 class Patches(Closing):

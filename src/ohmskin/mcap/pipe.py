@@ -133,7 +133,9 @@ class WriterPipe:
                     self._push()
                     if self._size:
                         time.sleep(0.002)
-                self._end(max(0.1, end - time.monotonic()))
+                self._child.end(max(0.1, end - time.monotonic()))
+                self._listen()
+                self._child.close()
         return self.progress
 
     def _push(self) -> None:
@@ -163,11 +165,6 @@ class WriterPipe:
                 *lines, self._answers = (self._answers + data).split(b"\n")
                 for line in lines:
                     self._said |= json.loads(line)
-
-    def _end(self, timeout: float) -> None:
-        self._child.end(timeout)
-        self._listen()
-        self._child.close()
 
     def _widen(self) -> None:
         with suppress(ImportError, AttributeError, OSError):
