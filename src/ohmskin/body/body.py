@@ -3,10 +3,12 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import pi
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+
+from scipy.spatial.transform import Rotation
 
 from ohmskin.body.robot import Robot
 from ohmskin.client.contacts import MOST_PATCHES, Patch
@@ -73,12 +75,7 @@ class Body:
 
 def axes(roll: float, pitch: float, yaw: float) -> tuple[tuple[float, float, float], ...]:
     """A sheet's x, y and normal after turns about the fixed axes x, y and z (rad), in this order, as URDF has them."""
-    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
-    return (
-        (cy * cp, sy * cp, -sp),
-        (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr),
-        (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr),
-    )
+    return tuple(map(tuple, Rotation.from_euler("xyz", (roll, pitch, yaw)).as_matrix().T.tolist()))
 
 
 def _body(data: Mapping[str, Any], folder: Path) -> Body:
