@@ -78,17 +78,11 @@ ProtocolFault = tuple[type, Inject]
 def _fields(change: Callable[[Any, int], dict[str, Any]]) -> Inject:
     """A reply with other values in some fields, which `change` makes of the message and the count."""
 
-    def inject(reply: Reply) -> Iterator[bytes]:
-        yield reply.sealed(reply.payload(**change(reply.message, reply.count)))
-
-    return inject
+    return _bytes(lambda reply: reply.sealed(reply.payload(**change(reply.message, reply.count))))
 
 
 def _error(code: int, text: bytes) -> Inject:
-    def inject(reply: Reply) -> Iterator[bytes]:
-        yield reply.sealed(struct.pack("<H", code) + text, MessageKind.ERROR)
-
-    return inject
+    return _bytes(lambda reply: reply.sealed(struct.pack("<H", code) + text, MessageKind.ERROR))
 
 
 def _bytes(make: Callable[[Reply], bytes]) -> Inject:
