@@ -10,6 +10,7 @@ from typing import IO, Any, cast
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
@@ -62,7 +63,7 @@ class SkinMap:
         places = np.stack(np.meshgrid(x, y), axis=-1)[self.raster.inside]
         chart = skin.chart
         self._points = np.array([placed.patch.place(*point) for point in chart.points(places).tolist()])
-        self.size = 0.75 * self.raster.pitch * np.sqrt(float(np.median(chart.scale(places)) ** 2))
+        self.size = 0.75 * self.raster.pitch * float(np.median(chart.scale(places)))
 
     def draw(self, number: int, moment: Moment) -> None:
         """Draw what it feels on its map."""
@@ -147,8 +148,7 @@ class SceneRenderer:
     def _arrow(self, at: tuple[float, ...], normal: tuple[float, ...], force: float | None, own: bool) -> None:
         """An arrow onto a contact, as long as it is strong; another colour where the robot touches itself."""
         tip, length = np.array(at), _LEAST if force is None else min(_MOST, max(_LEAST, _PER_NEWTON * force))
-        name = _OWN if own else _FORCE
-        colour = np.array([int(name[k : k + 2], 16) / 255 for k in (1, 3, 5)] + [1.0])
+        colour = np.array(to_rgba(_OWN if own else _FORCE))
         self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.016), tip, colour)
         geom = self._add(mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), tip, colour)
         if geom is not None:
