@@ -45,9 +45,9 @@ class Posture(Closing):
         if (record := self._reader.newest()) is None:
             return
         try:
-            with_self_touch = json.loads(record)
-            self.robot = self.robot.posed(self._still | with_self_touch["positions"])
-            self._time = float(with_self_touch["time"])
+            told = json.loads(record)
+            self.robot = self.robot.posed(self._still | told["positions"])
+            self._time = float(told["time"])
             self._board.write(np.stack(list(self.robot.links.values())).astype("<f8").tobytes())
             self._reported = False
         except (SkinError, ValueError, KeyError, TypeError) as error:

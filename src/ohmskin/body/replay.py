@@ -91,12 +91,12 @@ class BodyReplay(Closing):
     def _show_contacts(self, at: int, data: bytes) -> None:
         """Publish the contacts of each patch that had new ones; times as long ago as they were then."""
         merged = decode_contacts(data, time.monotonic() - at * 1e-9)
-        for number, seen in enumerate(merged.patches):
+        for seen in merged.patches:
             if (publisher := self._publishers.get(seen.patch)) is None or publisher.patch.frame != seen.frame:
                 raise DataError(f"patch {seen.patch!r} on {seen.frame!r} does not belong to body {self._body.name!r}")
             if seen.sequence in (0, self._seen[seen.patch]):
                 continue
             self._seen[seen.patch] = seen.sequence
             now = replace(seen, stamp=time.time_ns() - round((time.monotonic() - seen.time) * 1e9))
-            own = tuple(contact for contact in merged.contacts if contact.patch == merged.patches[number].patch)
+            own = tuple(contact for contact in merged.contacts if contact.patch == seen.patch)
             publisher.repeat(now, own)

@@ -103,7 +103,6 @@ def _opened(place: str, token: str | None) -> tuple[str, Any]:
 def meeting_place(place: str) -> tuple[bool, str]:
     """Whether to listen, and where."""
     if not place:
-        taken = True
         with socket.socket() as probe:
             probe.settimeout(1.0)
             taken = probe.connect_ex(("127.0.0.1", PORT)) == 0
