@@ -14,7 +14,7 @@ from ohmskin.client.fields import components
 from ohmskin.closing import Closing
 from ohmskin.errors import DataError
 from ohmskin.mcap import messages, standard
-from ohmskin.mcap.container import MAGIC, Container
+from ohmskin.mcap.container import Container
 from ohmskin.mcap.messages import Role
 from ohmskin.mcap.modes import decode_modes
 from ohmskin.mcap.schemas import TOPICS, contact_fields
@@ -216,9 +216,7 @@ class RecordingReader(Closing):
 def is_recording(path: Path) -> bool:
     """Whether the file at a `path` begins as an MCAP file does."""
     try:
-        if path.is_fifo():
-            return False
-        with path.open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
-    except (OSError, ValueError):
+        Container(path).close()
+    except DataError:
         return False
+    return True
