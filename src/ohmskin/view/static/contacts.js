@@ -1,7 +1,7 @@
 // Contacts on a map.
 
 import { number } from "./colour.js";
-import { FONT } from "./ink.js";
+import { FONT, strokeOver } from "./ink.js";
 
 const SURE = 0.9; // confidence below which a contact looks doubtful
 const KEPT = 1.2; // how much stronger another contact must be to count as the strongest in its place
@@ -23,13 +23,8 @@ export function drawContacts(c, f, width, height, scene, taken, ink) {
     c.globalAlpha = doubtful(contact) ? 0.55 : 1;
     c.beginPath();
     c.arc(f.x(contact.x), f.y(contact.y), radius, 0, 2 * Math.PI);
-    c.lineWidth = 4;
-    c.strokeStyle = ink.halo;
-    c.stroke();
-    c.lineWidth = 2;
-    c.strokeStyle = doubtful(contact) ? ink.doubt : ink.contact;
-    if (doubtful(contact)) c.setLineDash([2, 3]);
-    c.stroke();
+    if (doubtful(contact)) strokeOver(c, ink.halo, 4, ink.doubt, 2, [2, 3]);
+    else strokeOver(c, ink.halo, 4, ink.contact, 2);
     c.restore();
     if (contact.covariance) drawUncertainty(c, f, contact, ink);
     return [f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius];
@@ -85,14 +80,7 @@ function drawUncertainty(c, f, contact, ink) {
     c.moveTo(x - dx, y - dy);
     c.lineTo(x + dx, y + dy);
   }
-  for (const [colour, weight] of [
-    [ink.halo, 3.5],
-    [ink.accent, 1.6],
-  ]) {
-    c.lineWidth = weight;
-    c.strokeStyle = colour;
-    c.stroke();
-  }
+  strokeOver(c, ink.halo, 3.5, ink.accent, 1.6);
 }
 
 /** Half axes (m) and direction (rad) of the 95 % ellipse of a covariance [xx, xy, yy] (m2). */
@@ -165,14 +153,7 @@ function drawLeader(c, [x, y, size], [px, py, w, h], ink) {
   c.beginPath();
   c.moveTo(cx + (dx * from) / far, cy + (dy * from) / far);
   c.lineTo(cx + dx, cy + dy);
-  for (const [colour, weight] of [
-    [ink.halo, 3],
-    [ink.contact, 1],
-  ]) {
-    c.lineWidth = weight;
-    c.strokeStyle = colour;
-    c.stroke();
-  }
+  strokeOver(c, ink.halo, 3, ink.contact, 1);
 }
 
 // Where beside a box a label of [w, h] covers least of what is taken, and how much; near the box rather than far, off

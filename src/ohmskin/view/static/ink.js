@@ -1,4 +1,4 @@
-// Colours and font of all that is drawn, for either theme.
+// Colours and font of all that is drawn, for either theme, and how lines stand out from an image.
 
 export const INK = {
   dark: {
@@ -46,3 +46,15 @@ export const INK = {
 };
 
 export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif';
+
+/** Stroke the path in a colour, perhaps dashed, over a wider halo. */
+export function strokeOver(c, halo, wide, colour, width, dash = []) {
+  c.lineWidth = wide;
+  c.strokeStyle = halo;
+  c.stroke();
+  c.setLineDash(dash);
+  c.lineWidth = width;
+  c.strokeStyle = colour;
+  c.stroke();
+  c.setLineDash([]);
+}

@@ -3,7 +3,7 @@
 import { colourOf, number, ticks } from "./colour.js";
 import { drawContacts } from "./contacts.js";
 import { FOOT, Frame, MARGIN, bounds, linesBetween } from "./frame.js";
-import { FONT, INK } from "./ink.js";
+import { FONT, INK, strokeOver } from "./ink.js";
 
 /**
  * Draw one map.
@@ -144,16 +144,9 @@ function electrodeBoxes(f, scene) {
 
 // An electrode that something is wrong with.
 function drawRing(c, x, y, ink) {
-  for (const [colour, weight] of [
-    [ink.halo, 4.5],
-    [ink.doubt, 2.2],
-  ]) {
-    c.beginPath();
-    c.arc(x, y, 7.5, 0, 2 * Math.PI);
-    c.lineWidth = weight;
-    c.strokeStyle = colour;
-    c.stroke();
-  }
+  c.beginPath();
+  c.arc(x, y, 7.5, 0, 2 * Math.PI);
+  strokeOver(c, ink.halo, 4.5, ink.doubt, 2.2);
 }
 
 // An electrode that is left out.
@@ -163,12 +156,7 @@ function drawCross(c, x, y, ink) {
     c.moveTo(x - 6, y - 6 * side);
     c.lineTo(x + 6, y + 6 * side);
   }
-  c.lineWidth = 4;
-  c.strokeStyle = ink.halo;
-  c.stroke();
-  c.lineWidth = 2;
-  c.strokeStyle = ink.bad;
-  c.stroke();
+  strokeOver(c, ink.halo, 4, ink.bad, 2);
 }
 
 // Numbers stand outside the skin where there is an outside next to them, else up and right of the electrode.
@@ -206,13 +194,7 @@ function drawPress(c, f, press, ink) {
   c.save();
   c.beginPath();
   c.arc(f.x(press.x), f.y(press.y), Math.max(4, f.scale * press.radius), 0, 2 * Math.PI);
-  c.lineWidth = 4;
-  c.strokeStyle = ink.halo;
-  c.stroke();
-  c.setLineDash([5, 4]);
-  c.lineWidth = 2;
-  c.strokeStyle = press.own ? ink.press : ink.other;
-  c.stroke();
+  strokeOver(c, ink.halo, 4, press.own ? ink.press : ink.other, 2, [5, 4]);
   if (press.held) {
     c.beginPath();
     c.arc(f.x(press.x), f.y(press.y), 2.5, 0, 2 * Math.PI);
@@ -224,19 +206,12 @@ function drawPress(c, f, press, ink) {
 
 function drawTarget(c, f, { at, number: place }, ink) {
   const [x, y] = [f.x(at[0]), f.y(at[1])];
-  for (const [colour, weight] of [
-    [ink.halo, 5],
-    [ink.other, 2.2],
-  ]) {
-    c.strokeStyle = colour;
-    c.lineWidth = weight;
-    c.beginPath();
-    for (const radius of [8, 16]) {
-      c.moveTo(x + radius, y);
-      c.arc(x, y, radius, 0, 2 * Math.PI);
-    }
-    c.stroke();
+  c.beginPath();
+  for (const radius of [8, 16]) {
+    c.moveTo(x + radius, y);
+    c.arc(x, y, radius, 0, 2 * Math.PI);
   }
+  strokeOver(c, ink.halo, 5, ink.other, 2.2);
   c.textAlign = "center";
   c.textBaseline = "middle";
   c.fillStyle = ink.other;
@@ -244,24 +219,17 @@ function drawTarget(c, f, { at, number: place }, ink) {
 }
 
 function drawCursor(c, f, [x, y], ink) {
-  for (const [colour, weight] of [
-    [ink.halo, 4],
-    [ink.press, 1.6],
+  c.beginPath();
+  for (const [dx, dy] of [
+    [1, 0],
+    [-1, 0],
+    [0, 1],
+    [0, -1],
   ]) {
-    c.strokeStyle = colour;
-    c.lineWidth = weight;
-    c.beginPath();
-    for (const [dx, dy] of [
-      [1, 0],
-      [-1, 0],
-      [0, 1],
-      [0, -1],
-    ]) {
-      c.moveTo(f.x(x) + 4 * dx, f.y(y) + 4 * dy);
-      c.lineTo(f.x(x) + 12 * dx, f.y(y) + 12 * dy);
-    }
-    c.stroke();
+    c.moveTo(f.x(x) + 4 * dx, f.y(y) + 4 * dy);
+    c.lineTo(f.x(x) + 12 * dx, f.y(y) + 12 * dy);
   }
+  strokeOver(c, ink.halo, 4, ink.press, 1.6);
 }
 
 /** The colour bar with its ticks, unit and threshold, by its name; vertical. */
