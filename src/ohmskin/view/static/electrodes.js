@@ -2,6 +2,7 @@
 
 import { BodyView } from "./body.js";
 import { number } from "./colour.js";
+import { openShownSocket } from "./link.js";
 
 const byId = (id) => document.getElementById(id);
 window.ohmskin = { body: null, state: null };
@@ -52,24 +53,13 @@ function begin(told) {
 }
 
 function connect() {
-  const address = new URL("socket", location.href);
-  address.protocol = address.protocol.replace("http", "ws");
-  address.search = location.search;
-  socket = new WebSocket(address);
-  const state = byId("state");
-  socket.onopen = () => {
-    [state.dataset.state, state.textContent] = ["running", "connected"];
-  };
+  socket = openShownSocket(connect);
   socket.onmessage = (event) => {
     const told = JSON.parse(event.data);
     if (told.points) begin(told);
     window.ohmskin.state = told;
     list(told);
     draw();
-  };
-  socket.onclose = () => {
-    [state.dataset.state, state.textContent] = ["lost", "no connection"];
-    setTimeout(connect, 1000);
   };
 }
 

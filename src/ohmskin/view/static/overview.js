@@ -5,6 +5,7 @@ import { Range, number } from "./colour.js";
 import { force, unsure } from "./contacts.js";
 import { Field } from "./field.js";
 import { heightFor } from "./frame.js";
+import { openShownSocket, readHeader } from "./link.js";
 import { drawMap, drawScale } from "./map.js";
 import { Surface } from "./surface.js";
 
@@ -22,9 +23,7 @@ const scale = new Surface(byId("scale"), redraw);
 
 /** A message as { name, patches }, each patch with its pixels. */
 function read(buffer) {
-  const length = new DataView(buffer).getUint32(0, true);
-  const frame = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  let at = 4 + length;
+  let [frame, at] = readHeader(buffer);
   for (const patch of frame.patches) {
     patch.pixels = new Int8Array(buffer, at, patch.size ?? 0);
     at += patch.size ?? 0;
@@ -150,16 +149,7 @@ function redraw() {
 }
 
 function connect() {
-  const address = new URL("socket", location.href);
-  address.protocol = address.protocol.replace("http", "ws");
-  address.search = location.search;
-  address.hash = "";
-  const socket = new WebSocket(address);
-  const state = byId("state");
-  socket.binaryType = "arraybuffer";
-  socket.onopen = () => {
-    [state.dataset.state, state.textContent] = ["running", "connected"];
-  };
+  const socket = openShownSocket(connect);
   let [newest, owed] = [null, 0]; // frames that are not answered yet
   const shapes = new Map(); // told once, and perhaps with a frame that is not drawn
   const take = async (frame) => {
@@ -187,9 +177,7 @@ function connect() {
     }
   };
   socket.onclose = () => {
-    [state.dataset.state, state.textContent] = ["lost", "no connection"];
     if (window.ohmskin.frame) show(window.ohmskin.frame, false);
-    setTimeout(connect, 1000);
   };
 }
 
