@@ -14,7 +14,7 @@ from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import check_even
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.holes import Hole, Holed, with_holes
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Mesh, normals, used_nodes
 from ohmskin.geometry.periodic import folded, shortest
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import node_means
@@ -64,7 +64,7 @@ class MeshChart:
         carried, elements, added = split_edges(carried, np.vstack([surface.elements, filling]), added, size)
         kept = np.unique(elements[~added])
         filled = Mesh(carried[:, :3], elements)
-        self._surface, self._normals = _part(filled.nodes, elements[~added]), carried[kept, 3:]
+        self._surface, self._normals = Mesh(*used_nodes(filled.nodes, elements[~added])), carried[kept, 3:]
         maps, refused = [], []
         for flatten in (flat_patch, flat_ring)[: len(rims)]:
             try:
@@ -72,9 +72,9 @@ class MeshChart:
                     flat = flat_patch(self._surface)
                 else:
                     ring = flat_ring(filled)
-                    flat = _part(ring.nodes, elements[~added], ring.period)
-                scale = np.sqrt(self._surface.measures / flat.measures)
-                maps.append((_unevenness(scale, flat), flat, node_means(flat) @ scale))
+                    flat = Mesh(*used_nodes(ring.nodes, elements[~added]), period=ring.period)
+                scale = node_means(flat) @ np.sqrt(self._surface.measures / flat.measures)
+                maps.append((float(scale.max() / scale.min()), flat, scale))
             except GeometryError as error:
                 refused.append(error)
         if not maps:
@@ -246,8 +246,7 @@ def _beyond_seam(surface: Mesh, low: Ints, high: Ints) -> Floats:
 
 def _units(surface: Mesh) -> Floats:
     """Unit normals (n_elem, 3)."""
-    edges = surface.corners[:, 1:] - surface.corners[:, :1]
-    return np.asarray(np.cross(edges[:, 0], edges[:, 1]) / (2 * surface.measures[:, None]))
+    return np.asarray(normals(surface.nodes, surface.elements) / (2 * surface.measures[:, None]))
 
 
 def _node_normals(surface: Mesh) -> Floats:
@@ -280,19 +279,8 @@ def _filling(surface: Mesh, holes: Sequence[Ints]) -> tuple[Floats, Ints]:
     return np.vstack(nodes), np.vstack(triangles)
 
 
-def _part(nodes: Floats, elements: Ints, period: float = 0.0) -> Mesh:
-    """A mesh of some elements, with their nodes alone."""
-    used, own = np.unique(elements, return_inverse=True)
-    return Mesh(nodes[used], own.reshape(-1, 3), period=period)
-
-
 def _length(points: Floats) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-def _unevenness(scale: Floats, flat: Mesh) -> float:
-    values = node_means(flat) @ scale
-    return float(values.max() / values.min())
 
 
 def _outline(flat: Mesh) -> Domain:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.extra import optional
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Mesh, used_nodes
 from ohmskin.geometry.meshing import key_points, rim_loops
 
 _FEWEST = 8  # edges along an electrode
@@ -193,10 +193,9 @@ def _closed(gmsh: Any, points: ArrayLike) -> list[int]:
     return lines
 
 
-def _triangles(gmsh: Any) -> tuple[Floats, np.ndarray]:
+def _triangles(gmsh: Any) -> tuple[Floats, Ints]:
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     corners = gmsh.model.mesh.getElementsByType(2)[1].astype(np.int64).reshape(-1, 3)
     place = np.full(int(tags.max()) + 1, -1, np.int64)
     place[tags.astype(np.int64)] = np.arange(len(tags))
-    used, elements = np.unique(place[corners], return_inverse=True)
-    return coordinates.reshape(-1, 3)[used], elements.reshape(-1, 3)
+    return used_nodes(coordinates.reshape(-1, 3), place[corners])

@@ -322,6 +322,12 @@ def _edges(corners: Floats) -> Floats:
     return np.asarray(corners[:, 1:] - corners[:, :1])
 
 
+def used_nodes(nodes: Floats, elements: Ints) -> tuple[Floats, Ints]:
+    """The nodes that elements (n, k) name, and the elements by their numbers among these."""
+    used, own = np.unique(elements, return_inverse=True)
+    return nodes[used], own.reshape(elements.shape).astype(np.int64)
+
+
 def facet_measures(nodes: Floats, facets: Ints, period: float = 0.0) -> Floats:
     """Lengths (n,) of edges (n, 2) in metres, areas of triangles (n, 3) in m2, in any space of their nodes."""
     corners = nodes[facets]

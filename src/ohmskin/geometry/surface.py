@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
+from ohmskin.geometry.mesh import normals, used_nodes
 
 _OFF = 0.1  # of a surface's extent, that a place on it may be off
 _ONE_SIDED = 0.3  # sum of the normals over that of their sizes: 0 of a pipe, 1 of a flat sheet, half of half a ball
@@ -108,11 +109,11 @@ def check_outside(nodes: Floats, triangles: Ints) -> None:
         rims = closed_walks(alone)
     except GeometryError:
         return
-    first, second, third = nodes[triangles].swapaxes(0, 1)
-    normals = np.cross(second - first, third - first)
-    one_sided = np.linalg.norm(normals.sum(axis=0)) > _ONE_SIDED * np.linalg.norm(normals, axis=1).sum()
+    outwards = normals(nodes, triangles)
+    one_sided = np.linalg.norm(outwards.sum(axis=0)) > _ONE_SIDED * np.linalg.norm(outwards, axis=1).sum()
     if len(rims) == 1 or one_sided:
         return
+    first, second, third = nodes[triangles].swapaxes(0, 1)
     volume = float(np.sum(first * np.cross(second, third)))
     for walk in rims:  # a lid on each, of triangles about its middle
         start, end = nodes[alone[np.isin(alone[:, 0], walk)]].swapaxes(0, 1)
@@ -162,13 +163,13 @@ def pieces(nodes: Floats, triangles: Ints, crease: float = np.pi) -> Ints:
         triangles: (n, 3) node numbers.
         crease: Angle between normals (rad) from which on an edge parts pieces.
     """
-    normals = np.cross(nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    units = normals(nodes, triangles)
+    units /= np.maximum(np.linalg.norm(units, axis=1, keepdims=True), 1e-300)
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1) @ [len(nodes), 1]
     order = np.argsort(edges, kind="stable")
     same = np.flatnonzero(edges[order[1:]] == edges[order[:-1]])
     one, other = order[same] // 3, order[same + 1] // 3
-    smooth = np.sum(normals[one] * normals[other], axis=1) >= np.cos(crease)
+    smooth = np.sum(units[one] * units[other], axis=1) >= np.cos(crease)
     graph = sp.csr_array((smooth[smooth], (one[smooth], other[smooth])), shape=(len(triangles),) * 2)
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
@@ -186,8 +187,7 @@ def grown(nodes: Floats, triangles: Ints, seed: ArrayLike, crease: float) -> tup
         raise GeometryError(f"{far}; put it on the part that is the skin, in metres")
     piece = pieces(nodes, triangles, crease)
     at = int(np.flatnonzero((triangles == corners).all(axis=1))[0])
-    used, own = np.unique(triangles[piece == piece[at]], return_inverse=True)
-    return nodes[used], own.reshape(-1, 3)
+    return used_nodes(nodes, triangles[piece == piece[at]])
 
 
 def cut_off(nodes: Floats, triangles: Ints, plane: ArrayLike) -> tuple[Floats, Ints]:
@@ -233,5 +233,4 @@ def cut_off(nodes: Floats, triangles: Ints, plane: ArrayLike) -> tuple[Floats, I
         kept += [[corners[0], corners[k], corners[k + 1]] for k in range(1, len(corners) - 1)]
     if not kept:
         raise GeometryError(f"nothing is left on the side of the plane {np.asarray(plane).tolist()}; turn its normal")
-    used, elements = np.unique(np.array(kept), return_inverse=True)
-    return np.vstack([nodes, *places])[used], elements.reshape(-1, 3)
+    return used_nodes(np.vstack([nodes, *places]), np.array(kept))
