@@ -290,22 +290,18 @@ class Electrodes(ReadOnly):
             raise GeometryError(f"grid inset {inset} m; it must be from 0 to below half of the sheet's shorter side")
         x = np.linspace(x0 + inset, x1 - inset, columns)
         y = np.linspace(y0 + inset, y1 - inset, rows)
-        positions: list[tuple[float, float]] = []
-        rings: list[tuple[int, ...]] = []
+        walks: list[list[tuple[float, float]]] = []  # round each ring, corners and lines of one row twice
         if sheet.period:
             x = x0 + (x1 - x0) * np.arange(columns) / columns
             for low, high in zip(y[: (rows + 1) // 2], y[::-1], strict=False):
-                ring = list(dict.fromkeys([(a, low) for a in x] + [(a, high) for a in x[::-1]]))
-                rings.append(tuple(range(len(positions), len(positions) + len(ring))))
-                positions += ring
-            return cls(np.array(positions), tuple(rings))
-        while len(x) and len(y):
+                walks.append([(a, low) for a in x] + [(a, high) for a in x[::-1]])
+        while len(x) and len(y) and not sheet.period:
             there, back = [(a, y[0]) for a in x] + [(x[-1], b) for b in y], [(a, y[-1]) for a in x[::-1]]
-            ring = list(dict.fromkeys(there + back + [(x[0], b) for b in y[::-1]]))
-            rings.append(tuple(range(len(positions), len(positions) + len(ring))))
-            positions += ring
+            walks.append(there + back + [(x[0], b) for b in y[::-1]])
             x, y = x[1:-1], y[1:-1]
-        return cls(np.array(positions), tuple(rings))
+        numbers: dict[tuple[float, float], int] = {}
+        rings = [dict.fromkeys(numbers.setdefault(place, len(numbers)) for place in walk) for walk in walks]
+        return cls(np.array(list(numbers)), tuple(tuple(ring) for ring in rings))
 
 
 def to_corners(domain: Domain, arcs: Floats, within: float | None = None) -> Floats:
