@@ -132,10 +132,7 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
         if kind != ElectrodeKind.RIM:
             found.append(centre[None])
             continue
-        loops = (domain, *domain.holes)
-        on_loops = [(float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)), loop) for loop in loops]
-        off, loop = min(on_loops, key=lambda pair: pair[0])
-        arc = float(loop.arc(centre[None])[0])
+        off, arc, loop = _nearest_rim(domain, centre)
         if off > 1e-6 * domain.perimeter:
             there = f"rim electrode {k} at {centre} is {off:.2g} m away from the rim"
             raise GeometryError(f"{there}; move it or use with_discs()")
@@ -147,6 +144,13 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
     first = first.reshape(len(points), -1)
     keep = [i for i in range(len(points)) if not any(j < i for j in first[i] if j < len(points))]
     return np.asarray(points[keep])
+
+
+def _nearest_rim(domain: Domain, place: Floats) -> tuple[float, float, Domain]:
+    """How far off the closest rim a place (2,) is, where along it (m), and whose it is: the domain's or a hole's."""
+    arcs = [(float(loop.arc(place[None])[0]), loop) for loop in (domain, *domain.holes)]
+    found = ((float(np.linalg.norm(loop.rim([arc])[0] - place)), arc, loop) for arc, loop in arcs)
+    return min(found, key=lambda one: one[0])
 
 
 def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> Floats:
@@ -161,19 +165,18 @@ def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> 
         electrodes: Discs on it.
         closest: Distance below which two such points are one (m).
     """
-    loops, centres = (domain, *domain.holes), folded(electrodes.positions, domain.period)
-    corners = np.vstack([loop.rim(loop.corners) for loop in loops])  # a mesh has nodes there anyhow
+    centres = folded(electrodes.positions, domain.period)
+    corners = np.vstack([loop.rim(loop.corners) for loop in (domain, *domain.holes)])  # a mesh has nodes there anyhow
     rings = [centres, corners]
     nearest = tree(centres, domain.period)
     for number, (centre, radius) in enumerate(zip(centres, electrodes.extents, strict=True)):
-        off = [float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)) for loop in loops]
-        loop, on_rim = loops[int(np.argmin(off))], min(off) < 1e-6 * domain.perimeter
+        off, arc, loop = _nearest_rim(domain, centre)
         for share, count in _RINGS:
             angle, r = 2 * np.pi * np.arange(count) / count, share * radius
             ring = centre + r * np.column_stack([np.cos(angle), np.sin(angle)])
             ring = ring[domain.depth(ring) > max(0.35 * 2 * np.pi * r / count, closest)]
-            if on_rim:
-                ring = np.vstack([ring, loop.rim(loop.arc(centre[None])[0] + np.array([-r, r]))])
+            if off < 1e-6 * domain.perimeter:
+                ring = np.vstack([ring, loop.rim([arc - r, arc + r])])
             ring = folded(ring, domain.period)
             rings.append(ring[nearest.query(ring)[1] == number])
     points = np.vstack(rings)
