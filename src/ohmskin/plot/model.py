@@ -17,6 +17,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Mesh
+from ohmskin.geometry.raster import node_means
 from ohmskin.plot.colours import AMOUNT, SIGNED
 
 _DENSITY = 1.2  # of lines of current, as Matplotlib counts
@@ -103,7 +104,7 @@ def draw_current(axes: Axes, model: TransferModel, source: int, sink: int, curre
     step = float((high - low).max()) / _GRID
     x, y = (np.arange(low[k] + step / 2, high[k], step) for k in range(2))
     flat = Triangulation(mesh.nodes[:, 0], mesh.nodes[:, 1], mesh.elements)
-    u, v = (LinearTriInterpolator(flat, by_node)(*np.meshgrid(x, y)) for by_node in _at_nodes(mesh, density).T)
+    u, v = (LinearTriInterpolator(flat, node_means(mesh) @ part)(*np.meshgrid(x, y)) for part in density.T)
     axes.streamplot(1e3 * x, 1e3 * y, u, v, color="white", linewidth=0.7, arrowsize=0.7, density=_DENSITY)
     return shown
 
@@ -122,15 +123,6 @@ def _faces(mesh: Mesh, values: Floats | None) -> tuple[np.ndarray, Floats | None
     if values.shape == (mesh.n_nodes,):
         return shown, values[shown].mean(axis=1)
     raise DataError(f"values have shape {values.shape}; give ({mesh.n_elem},) by element or ({mesh.n_nodes},) by node")
-
-
-def _at_nodes(mesh: Mesh, values: Floats) -> Floats:
-    """Values (n_nodes, k) of elements (n_elem, k), each node the mean of those around it by their size."""
-    sums, sizes = np.zeros((mesh.n_nodes, values.shape[1])), np.zeros(mesh.n_nodes)
-    for corner in mesh.elements.T:
-        np.add.at(sums, corner, mesh.measures[:, None] * values)
-        np.add.at(sizes, corner, mesh.measures)
-    return np.asarray(sums / sizes[:, None])
 
 
 def _draw_electrodes(axes: Axes, mesh: Mesh, electrodes: Electrodes) -> None:
