@@ -6,6 +6,7 @@ neighbours, or of single electrodes against one that stays the same, of which ne
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -15,15 +16,17 @@ _BETTER = 0.005  # by which another order must be more alike than the usual one
 _LEAST = 0.25  # likeness below which none is believed
 _LEAST_ELECTRODES, _MOST_ELECTRODES = 4, 128
 
-# electrodes at which no voltage is taken, counted from the driven source; of neighbours the first of each pair
-_PAIRS = {
-    "none at a driven electrode": (-1, 0, 1),
-    "all": (),
-    "all but the driven pair's": (0,),
-    "none at the source": (-1, 0),
-    "none at the sink": (0, 1),
-}
-_SINGLE = {"all": (), "idle ones": (0, 1)}
+# whether values are of single electrodes; which are taken, and the electrodes at which none is, counted from the driven
+# source; of neighbours the first of each pair
+_FORMS: tuple[tuple[bool, str, tuple[int, ...]], ...] = (
+    (False, "none at a driven electrode", (-1, 0, 1)),
+    (False, "all", ()),
+    (False, "all but the driven pair's", (0,)),
+    (False, "none at the source", (-1, 0)),
+    (False, "none at the sink", (0, 1)),
+    (True, "all", ()),
+    (True, "idle ones", (0, 1)),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +77,9 @@ class Order:
 def orders(count: int) -> list[Order]:
     """The orders in which a frame of so many values may be written, the usual ones first."""
     found = []
-    for n_elec in range(_LEAST_ELECTRODES, _MOST_ELECTRODES + 1):
-        for told, skipped in _PAIRS.items():
-            if n_elec * (n_elec - len(skipped)) == count:
-                found += [_order(n_elec, skipped, turning, False, told) for turning in (False, True)]
-        for told, skipped in _SINGLE.items():
-            if n_elec * (n_elec - len(skipped)) == count:
-                found += [_order(n_elec, skipped, turning, True, told) for turning in (False, True)]
+    for n_elec, (single, told, skipped) in product(range(_LEAST_ELECTRODES, _MOST_ELECTRODES + 1), _FORMS):
+        if n_elec * (n_elec - len(skipped)) == count:
+            found += [_order(n_elec, skipped, turning, single, told) for turning in (False, True)]
     return found
 
 
@@ -96,9 +95,8 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
         best = 0
     if likenesses[best] < _LEAST:
         found = f"likeness {likenesses[best]:.2f} with a round even sheet"
-        return known[
-            best
-        ], f"the voltages are not largest beside the driven electrodes ({found}); is it adjacent drive?"
+        doubt = f"the voltages are not largest beside the driven electrodes ({found}); is it adjacent drive?"
+        return known[best], doubt
     return known[best], ""
 
 
