@@ -4,7 +4,7 @@ import { Range, number } from "./colour.js";
 import { strongest } from "./contacts.js";
 import { Controls } from "./controls.js";
 import { Field } from "./field.js";
-import { Spark, counted, showContacts, showFigures, showFindings, showProgress } from "./figures.js";
+import { Spark, counted, setText, showContacts, showFigures, showFindings, showProgress } from "./figures.js";
 import { Frame, bounds, clampTo, heightFor } from "./frame.js";
 import { Guide } from "./guide.js";
 import { showHelp } from "./help.js";
@@ -305,11 +305,6 @@ function showReadouts() {
 
 function digitsFor(limit) {
   return Math.max(0, 2 - Math.floor(Math.log10(limit)));
-}
-
-function setText(id, text) {
-  const place = byId(id);
-  if (place.textContent !== text) place.textContent = text;
 }
 
 function labelMaps() {

@@ -7,10 +7,14 @@ import { INK } from "./ink.js";
 const byId = (id) => document.getElementById(id);
 let shownWords = "";
 
-function put(id, value, digits, factor = 1) {
-  const text = Number.isFinite(value) ? number(factor * value, digits) : "–";
+/** Change what an element says, unless it says that already. */
+export function setText(id, text) {
   const place = byId(id);
   if (place.textContent !== text) place.textContent = text;
+}
+
+function put(id, value, digits, factor = 1) {
+  setText(id, Number.isFinite(value) ? number(factor * value, digits) : "–");
 }
 
 export function showFigures(header) {

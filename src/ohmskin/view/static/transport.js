@@ -1,6 +1,7 @@
 // What a recording is led with: play, step, seek, speed, loop. There only while the device is one.
 
 import { number } from "./colour.js";
+import { setText } from "./figures.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, null]; // null: as fast as it can
 const SEEK_EVERY = 60; // ms between places sent while the bar is dragged
@@ -89,8 +90,4 @@ export class Transport {
 
 function option(speed) {
   return new Option(tell(speed), JSON.stringify(speed));
-}
-
-function setText(id, text) {
-  if (byId(id).textContent !== text) byId(id).textContent = text;
 }
