@@ -7,7 +7,7 @@ from itertools import islice
 from math import sqrt
 from pathlib import Path
 
-from ohmskin.cli.options import Flag, check_picture, check_recording, watched
+from ohmskin.cli.options import Flag, check_picture, check_recording, fitting_skin, watched
 from ohmskin.client.fields import as_json
 from ohmskin.contacts import CLASSES, Segments, evidence, segments
 from ohmskin.errors import DataError
@@ -21,7 +21,6 @@ from ohmskin.recording.player import reimage
 from ohmskin.scan import Frame, assess, left_out
 from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
 from ohmskin.sensing.confidence import common_change, common_confidence, crowd_confidence
-from ohmskin.skin import Skin, shipped_skins
 
 _DOUBTFUL = 0.1  # share of a frame's change that no image explains, from which on that is told
 
@@ -76,10 +75,7 @@ def image(
     recording = read_recording(file, reference=reference, pattern=pattern)
     if not 0 <= frame < len(recording.frames):
         raise DataError(f"--frame {frame}: {file} has frames 0 to {len(recording.frames) - 1}")
-    if not (skin or recording.skin):
-        choices = f"a .toml file or {', '.join(shipped_skins())}"
-        raise DataError(f"{file} does not name its skin; name it with --skin, {choices}")
-    description = Skin.load(skin or recording.skin)
+    description = fitting_skin(file, skin, recording.skin)
     recording.frames[frame].pattern.check(len(description.electrodes))
     model = description.transfer_model()
     repeated = recording.values != "differences" and len(recording.quiet) > 1

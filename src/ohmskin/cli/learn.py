@@ -12,13 +12,12 @@ from threadpoolctl import threadpool_limits
 import ohmskin
 from ohmskin.calibrate.channels import judge_channels
 from ohmskin.calibrate.positions import learn_positions, read_places
-from ohmskin.cli.options import SkinName, check_picture, check_writable, write_skin
+from ohmskin.cli.options import SkinName, check_picture, check_writable, fitting_skin, write_skin
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
 from ohmskin.scan import Baseline
 from ohmskin.sensing import SkinModel
-from ohmskin.skin import Skin, shipped_skins
 
 
 def learn(
@@ -47,10 +46,7 @@ def learn(
     if picture is not None:
         check_picture(picture)
     recording = read_recording(file, reference=reference, pattern=pattern)
-    if not (skin or recording.skin):
-        choices = f"a .toml file or {', '.join(shipped_skins())}"
-        raise DataError(f"{file} does not name its skin; name it with --skin, {choices}")
-    description = Skin.load(skin or recording.skin)
+    description = fitting_skin(file, skin, recording.skin)
     path = output or Path(f"{description.name}-learned.toml")
     check_writable(path)
     if not recording.frames:

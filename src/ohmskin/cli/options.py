@@ -18,7 +18,7 @@ from ohmskin.cli.heartbeat import HEARTBEAT, interrupt
 from ohmskin.device import Device, connect
 from ohmskin.device.registry import scheme_of
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
-from ohmskin.skin import Fault, Skin
+from ohmskin.skin import Fault, Skin, shipped_skins
 from ohmskin.skin.files import save_skin
 from ohmskin.view.live import check_address
 
@@ -208,6 +208,14 @@ def open_skin(
     except BaseException:
         opened.close()
         raise
+
+
+def fitting_skin(file: Path, named: str, recorded: str) -> Skin:
+    """The skin named, or else the one that fits the format of a recording; raise DataError if there is neither."""
+    if not (named or recorded):
+        choices = f"a .toml file or {', '.join(shipped_skins())}"
+        raise DataError(f"{file} does not name its skin; name it with --skin, {choices}")
+    return Skin.load(named or recorded)
 
 
 def refuse_unused(where: str, **given: object) -> None:
