@@ -1,6 +1,7 @@
 """``ohmskin learn``: what a recording of presses says of a skin."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,11 +61,13 @@ def learn(
     found = description.calibration.made_now(description.digest, ohmskin.__version__)
     judged = report = None
     with threadpool_limits(1, "blas"), Progress(console=Console(stderr=True), transient=True) as shown:
+
+        def progress(words: str) -> Callable[[float], None]:
+            task = shown.add_task(words, total=1.0)
+            return lambda share: shown.update(task, completed=share)
+
         if channels:
-            task = shown.add_task("judging channels", total=1.0)
-            judged = judge_channels(
-                description, recording.quiet, recording.frames, lambda share: shown.update(task, completed=share)
-            )
+            judged = judge_channels(description, recording.quiet, recording.frames, progress("judging channels"))
             resting = None  # of differences it is the model's
             if recorded != "differences":
                 resting = Baseline.learn(recording.quiet).reference(judged.pattern)
@@ -74,23 +77,12 @@ def learn(
             print("# no press has a place: no map is learned", file=sys.stderr)
             places = None
         if places is not None:
-            known = SkinModel(
-                replace(description, calibration=replace(found, position_map="")),
-                model,
-                recording.quiet,
-            )
-            task = shown.add_task("reading presses", total=1.0)
-            at, changes = read_places(known, recording.frames, lambda share: shown.update(task, completed=share))
-            task = shown.add_task("learning positions", total=1.0)
+            unmapped = replace(description, calibration=replace(found, position_map=""))
+            known = SkinModel(unmapped, model, recording.quiet)
+            at, changes = read_places(known, recording.frames, progress("reading presses"))
             x0, y0, x1, y1 = description.domain.bounds
-            report = learn_positions(
-                recording.frames[0].pattern,
-                at,
-                changes,
-                places,
-                max(x1 - x0, y1 - y0),
-                lambda share: shown.update(task, completed=share),
-            )
+            size, told = max(x1 - x0, y1 - y0), progress("learning positions")
+            report = learn_positions(recording.frames[0].pattern, at, changes, places, size, told)
             found = replace(found, position_map=report.map.dump())
     for one in (judged, report):
         print("\n".join(one.report() if one is not None else ()), end="\n" if one is not None else "")
