@@ -27,10 +27,10 @@ def apart(task: str, **settings: Any) -> dict[str, Any]:
     return outcome([sys.executable, "-c", imports + call, task, json.dumps(settings)])
 
 
-def set_up(cells: int, along: int = 4) -> tuple[GaussNewton, dict[str, float]]:
+def set_up(cells: int) -> tuple[GaussNewton, dict[str, float]]:
     """From nodes and triangles to an estimator on pixels, and the CPU seconds of its stages."""
     nodes, triangles = sheets.grid(cells)
-    layout = sheets.electrodes(along)
+    layout = sheets.electrodes()
     laps = [process_time()]
     mesh = Mesh(nodes, triangles)
     laps.append(process_time())
@@ -44,11 +44,11 @@ def set_up(cells: int, along: int = 4) -> tuple[GaussNewton, dict[str, float]]:
     return estimator, {**stages, "all": laps[-1] - laps[0]}
 
 
-def compiled(estimator: GaussNewton, pairs: int, threshold: float = 0.005, fuse: bool = True) -> CompiledCycle:
+def compiled(estimator: GaussNewton, pairs: int, fuse: bool = True) -> CompiledCycle:
     """The adaptive frame of eq. (7) with `pairs` chosen injections."""
     drive = DRIVES["eq7"](DriveSettings(estimator.model.electrodes, pairs=pairs), 0)
     assert isinstance(drive, TwoScans)
-    return CompiledCycle(estimator, drive, (threshold, threshold), fuse=fuse)
+    return CompiledCycle(estimator, drive, (0.005, 0.005), fuse=fuse)
 
 
 def ours(cells: int) -> dict[str, Any]:

@@ -45,7 +45,7 @@ _REPORT_EVERY = 1.0  # s
 class ProgressReport:
     """Prints rate and size of a recording once a second, and warns when it cannot be written."""
 
-    def __init__(self, recorder: Recorder, quiet: bool = False) -> None:
+    def __init__(self, recorder: Recorder, quiet: bool) -> None:
         self._recorder, self._quiet = recorder, quiet
         self._due = time.monotonic() + _REPORT_EVERY
         self._last, self._troubled = Progress(), ""

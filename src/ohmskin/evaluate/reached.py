@@ -17,7 +17,7 @@ _PERIOD = 10e-3  # seconds between frames
 
 
 def reached_errors(
-    skin: Skin, mode: Mode, drive: Drive, noise: float, radius: float, places: Floats, frames: int = 1, seed: int = 0
+    skin: Skin, mode: Mode, drive: Drive, noise: float, radius: float, places: Floats, frames: int
 ) -> Floats:
     """Position errors of discs that raise the conductivity by a half, as a mode reads them (m).
 
@@ -31,12 +31,11 @@ def reached_errors(
         radius: Radius of the contacts on the skin (m).
         places: Their centres (n_places, 2) on the map (m).
         frames: How many each rests.
-        seed: Of the noise.
 
     Returns:
         Errors (n_places,) on the skin in metres, NaN where no contact was found.
     """
-    model, random = skin.transfer_model(), np.random.default_rng(seed)
+    model, random = skin.transfer_model(), np.random.default_rng(0)
     amperes, pairs = skin.pair_currents(), skin.pairs
 
     def simulated(touched: Floats, pattern: DrivePattern, count: int = 1) -> list[Frame]:
