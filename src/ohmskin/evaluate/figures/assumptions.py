@@ -11,7 +11,7 @@ from ohmskin.evaluate import paper
 from ohmskin.evaluate.assumed import MERITS, Assumed, assumed
 from ohmskin.evaluate.claims import ADAPTIVE, Done
 from ohmskin.evaluate.figures.curves import COLOURS, MARKERS
-from ohmskin.evaluate.figures.drawing import Drawn, panels
+from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, panels
 from ohmskin.evaluate.worlds import WORLD_NAMES, WORLDS
 
 _SHADES = ("#e9e4e1", "#b9d3c6", "#74a98f", "#2f7d5b")  # for none to three of the steps of Table I
@@ -67,10 +67,9 @@ def _draw_steps(axes: Axes, mine: list[tuple[float, Assumed]], rows: int) -> Non
 
 def _draw_gain(axes: Axes, mine: list[tuple[float, Assumed]]) -> None:
     for at, one in mine:
-        ratio, style = one.ratio, dict[str, Any](color=COLOURS[one.best], markersize=3.5, linewidth=1, capsize=2)
-        bars = [[ratio.value - ratio.low], [ratio.high - ratio.value]]
         shifted = at + (0.16 if one.best == ADAPTIVE[1] else -0.16)
-        axes.errorbar(ratio.value, shifted, xerr=bars, fmt=MARKERS[one.best], **style)
+        style = dict[str, Any](color=COLOURS[one.best], markersize=3.5)
+        draw_estimates(axes, [shifted], [one.ratio], MARKERS[one.best], across=True, **style)
     axes.axvline(paper.RATIO, color="0.4", linewidth=0.8, linestyle="--")
     axes.axvline(1, color="0.6", linewidth=0.5)
     axes.set(xlabel="error, 16I over 16O", xscale="log", xticks=[0.5, 1, paper.RATIO, 2], xlim=(0.35, 3))

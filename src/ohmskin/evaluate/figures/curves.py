@@ -174,7 +174,7 @@ def _noise(done: Done) -> Drawn:
         for s, line in zip(settings.amplitude, _LINES * len(settings.amplitude), strict=False):
             for key in ADAPTIVE:
                 ratios = [ratio_of_means(mean[METHODS.index("16I")], mean[METHODS.index(key)]) for mean in means[s]]
-                style = {"linestyle": line, "color": COLOURS[key], "label": f"{key}, s = {s:g}"}
+                style: Any = {"linestyle": line, "color": COLOURS[key], "label": f"{key}, s = {s:g}"}
                 draw_estimates(gain, noise, ratios, "", **style)
         gain.axhline(paper.RATIO, color="0.4", linewidth=0.8, linestyle="--")
         gain.axhline(1, color="0.6", linewidth=0.5)
@@ -236,8 +236,7 @@ def _band(axes: Axes, x: Floats, values: Floats, key: str, **more: Any) -> None:
 def _medians(axes: Axes, values: Floats, keys: Sequence[str], scale: float = 1.0) -> None:
     """Medians of values (n_methods, n_seeds) with 95 % intervals, one method per line."""
     for row, key in enumerate(keys):
-        m = median(scale * values[row])
-        style: Any = {"color": COLOURS[key], "markersize": 4, "capsize": 2.5, "linewidth": 1}
-        axes.errorbar(m.value, row, xerr=[[m.value - m.low], [m.high - m.value]], fmt=MARKERS[key], **style)
+        style: Any = {"color": COLOURS[key], "markersize": 4, "capsize": 2.5}
+        draw_estimates(axes, [row], [median(scale * values[row])], MARKERS[key], across=True, **style)
     axes.set(yticks=range(len(keys)), yticklabels=[NAMES[k] for k in keys], ylim=(len(keys) - 0.5, -0.5))
     axes.grid(axis="x")

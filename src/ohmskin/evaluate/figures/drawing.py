@@ -57,16 +57,14 @@ def panels(height: float, rows: int, columns: int, x: str = "", y: str = "", **o
     return canvas, grid
 
 
-def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[ConfidenceInterval], fmt: str, **style: Any) -> None:
-    """Values at x with their intervals as error bars."""
+def draw_estimates(
+    axes: Axes, at: Sequence[float], found: Sequence[ConfidenceInterval], fmt: str, across: bool = False, **style: Any
+) -> None:
+    """Values at x with their intervals as error bars; or `across`, at y."""
     values, low, high = np.array([astuple(each) for each in found]).T
-    axes.errorbar(x, values, yerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
-
-
-def draw_across(axes: Axes, y: Sequence[float], found: Sequence[ConfidenceInterval], fmt: str, **style: Any) -> None:
-    """The same, drawn across at y."""
-    values, low, high = np.array([astuple(each) for each in found]).T
-    axes.errorbar(values, y, xerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
+    bars = [values - low, high - values]
+    placed: Any = {"x": values, "y": at, "xerr": bars} if across else {"x": at, "y": values, "yerr": bars}
+    axes.errorbar(**placed, fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
 
 
 def draw_sheet(

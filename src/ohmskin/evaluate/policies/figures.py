@@ -10,7 +10,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.drawing import Drawn, draw_across, draw_estimates, draw_sheet, panels
+from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies import goals
 from ohmskin.evaluate.policies.goals import OTHERS, WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
@@ -204,5 +204,4 @@ def _dot(
     """The mean of values in metres and its interval, in millimetres; see `mean`."""
     colour = COLOURS[key.partition("/")[0]]
     style = {"color": colour, "mfc": "white" if reader == "centroid" else colour, "markersize": 4.5, "label": label}
-    draw = draw_across if across else draw_estimates
-    draw(axes, [at], [mean(1e3 * values)], _MARKERS.get(reader, "P"), **style)
+    draw_estimates(axes, [at], [mean(1e3 * values)], _MARKERS.get(reader, "P"), across, **style)

@@ -167,7 +167,7 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
     labels = {"decibels": "noise / dB", "injections": "injections", "contacts": "contacts"}
     canvas, (grid,) = panels(2.5, 1, 4, "", "error over that of fixed injections", sharey=True)
     for world, colour in _COLOURS.items():
-        style = {"color": colour, "markersize": 4.5}
+        style: Any = {"color": colour, "markersize": 4.5}
         frames = [
             (task, ratio_of_means(*r["away"])) for _, task, r in done.of("gain", "frames/") if task.world == world
         ]
