@@ -11,7 +11,7 @@ from ohmskin.evaluate.assumptions import STATED, assumption
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, View, setup
 from ohmskin.evaluate.shapes import Shape, disc
-from ohmskin.evaluate.worlds import CONTACT_RADIUS, CONTACT_STRENGTH, Contacts
+from ohmskin.evaluate.worlds import Contacts, contact
 from ohmskin.skin import Mode
 
 Reading = Callable[[View, Contacts], dict[str, Any]]  # named numbers or arrays from the view of a case
@@ -119,9 +119,8 @@ class Bench:
             times: Factor on the strength (1).
         """
         taken = assumption(self.assumption)
-        radius = CONTACT_RADIUS[self.world] if radius is None else radius
-        strength = CONTACT_STRENGTH[self.world] if strength is None else strength
-        return disc(x, y, taken.radius * radius, taken.strength * times * strength)
+        usual = contact(self.world, x, y, radius, strength)
+        return disc(x, y, taken.radius * usual.radius, taken.strength * times * usual.strength)
 
     def simulate(self, key: str, contacts: Contacts, seed: int) -> View:
         """The result of a method for some contacts.
@@ -137,13 +136,7 @@ class Bench:
         chosen = method(key)
         return self.setup(chosen.layout).simulate(chosen.assuming(self.assumption), contacts, seed, 0)
 
-    def read(
-        self,
-        keys: Sequence[str],
-        cases: Sequence[Contacts],
-        seeds: int,
-        what: Callable[[View, Contacts], dict[str, Any]],
-    ) -> Result:
+    def read(self, keys: Sequence[str], cases: Sequence[Contacts], seeds: int, what: Reading) -> Result:
         """Values computed from the views of each method, case and seed.
 
         Args:

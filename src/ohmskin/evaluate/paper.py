@@ -6,7 +6,6 @@ TABLE = {  # Table I: AR, PE, RES (the paper: SR), SD, RNG (the paper: R)
     "16I": (0.0035, 0.242, 0.320, 0.676, 1.2282),
     "16O": (0.00475, 0.173, 0.275, 0.573, 0.917),
 }
-TABLE_COLUMNS = ("AR", "PE", "RES", "SD", "RNG")
 LOCALISATION = {"16I": 13.01e-3, "16O": 10.23e-3}  # metres, mean over 81 positions (Fig. 7)
 RATIO = LOCALISATION["16I"] / LOCALISATION["16O"]
 DISCRIMINATION = {"16I": 17e-3, "16O": 12e-3}  # metres, smallest distance of two contacts told apart (Fig. 8)

@@ -124,7 +124,7 @@ def _merits(done: Done, world: str) -> list[Block]:
         published = [f"{value:g}" for value in theirs] if theirs else [""] * len(EIDORS_COLUMNS)
         pairs = zip(result["eidors"][m].T, published, strict=True)
         eidors.append([method.label, *(cell for column, other in pairs for cell in (median(column).text(), other))])
-    both = [cell for name in paper.TABLE_COLUMNS for cell in (name, f"{name}, paper")]
+    both = [cell for name in EIDORS_COLUMNS for cell in (name, f"{name}, paper")]
     return [
         f"### Modern definition, {WORLD_NAMES[world]}",
         Table(("method", *(f"{name} / mm" if name in lengths else name for name in COLUMNS)), modern),
