@@ -5,7 +5,7 @@ defaults. Each skin and mode is measured in a process of its own, so that its me
 """
 
 from dataclasses import replace
-from math import hypot
+from math import dist
 from time import process_time
 from typing import Any
 
@@ -66,12 +66,8 @@ def big_skin(electrodes: int, kind: str, frames: int) -> dict[str, Any]:
             _press(engine, [place])
             for _ in range(_SETTLING):
                 touch = engine.step()
-            found = (
-                []
-                if touch is None
-                else [hypot(c.position[0] - place[0], c.position[1] - place[1]) for c in touch.contacts]
-            )
-            errors.append(min(found, default=np.nan))
+            places_felt = [contact.position for contact in touch.contacts] if touch else []
+            errors.append(min((dist(felt, place) for felt in places_felt), default=np.nan))
         pattern = engine.drive(engine.mode)
         return {
             "start": started - begun, "calibration": calibrated - started, "frames": told, "image": image,

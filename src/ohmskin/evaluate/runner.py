@@ -51,9 +51,8 @@ def run_experiments(
         if cache and not fresh and (kept := cache.load(task)) is not None:
             results[task] = kept
             progress(task, True)
-    for task, result in spread(
-        [task for task in wanted if task not in results], jobs or os.cpu_count() or 1, scheduler
-    ):
+    missing = [task for task in wanted if task not in results]
+    for task, result in spread(missing, jobs or os.cpu_count() or 1, scheduler):
         if cache:
             cache.save(task, result)
         results[task] = result

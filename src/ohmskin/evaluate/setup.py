@@ -184,9 +184,8 @@ class Setup:
         """The sensor of a mode; made once."""
         if mode not in self._sensors:
             drive = self.drive(mode)
-            drive.next(
-                [drives.Target(self.model.mesh.centroids.mean(axis=0), 1e-6 * np.eye(2), 1e-4, 8e-3)], 1
-            )  # its tables
+            middle = drives.Target(self.model.mesh.centroids.mean(axis=0), 1e-6 * np.eye(2), 1e-4, 8e-3)
+            drive.next([middle], 1)  # its tables
             self._sensors[mode] = build(mode, self.known, drive)
         return self._sensors[mode]
 

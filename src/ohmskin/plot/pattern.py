@@ -131,9 +131,7 @@ def save_pattern(path: Path, pattern: Pattern, name: str) -> None:
     for number, edge in enumerate(pattern.seam):
         axes.plot(*1e3 * edge.T, color="tab:blue", linewidth=1.6, linestyle=(0, (6, 3)), gid=f"seam-{number}")
         middle, step = 1e3 * edge[len(edge) // 2], edge[-1] - edge[0]
-        upwards = (
-            float(np.degrees(np.arctan2(step[1], step[0])) + 90) % 180 - 90
-        )  # to be read from the foot or the right
+        upwards = float(np.degrees(np.arctan2(step[1], step[0])) + 90) % 180 - 90  # read from the foot or the right
         side = np.array([-step[1], step[0]]) / np.linalg.norm(step) * (4 if number == 0 else -4)
         style: dict[str, Any] = {"ha": "center", "va": "center", "rotation": upwards, "color": "tab:blue"}
         u, v = middle + side

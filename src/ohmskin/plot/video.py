@@ -23,9 +23,8 @@ def side_by_side(percepts: Mapping[str, tuple[TransferModel, Percept]]) -> Figur
     """Images with their contacts, each under its title, each with colours of its own."""
     figure = Figure(figsize=(1 + 4.2 * len(percepts), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (title, (model, percept)) in zip(
-        figure.subplots(1, len(percepts), squeeze=False)[0], percepts.items(), strict=True
-    ):
+    panels = figure.subplots(1, len(percepts), squeeze=False)[0]
+    for axes, (title, (model, percept)) in zip(panels, percepts.items(), strict=True):
         limit = full_scale(percept)
         shown = draw_image(axes, model.mesh, percept.image.values, model.electrodes, percept.detections, limit)
         axes.set_title(title, fontsize=10)

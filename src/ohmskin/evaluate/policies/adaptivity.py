@@ -76,7 +76,7 @@ class Sensitivity:
             mode, low, high = scheme(key, reading), -1, len(PRESSURES)  # felt from high on, as far as is known
             while high - low > 1:
                 middle = (low + high) // 2
-                there = (disc(float(place[0]), float(place[1]), self.radius, float(PRESSURES[middle])),)
+                there = (disc(place[0], place[1], self.radius, PRESSURES[middle]),)
                 felt = near([c.position for c in world.simulate(mode, there, seed).contacts], place) < NEAR
                 low, high = (low, middle) if felt else (middle, high)
             if high < len(PRESSURES):

@@ -36,9 +36,8 @@ def assess(done: Done) -> list[Goal]:
         "pairs": _pairs,
         "press": _press,
         "detection": _detection,
-    }
-    goals |= {"quiet": _quiet, "cost": _cost}
-    goals |= {
+        "quiet": _quiet,
+        "cost": _cost,
         "trouble": robustness.trouble_goals,
         "gain": robustness.gain_goals,
         "sensitivity": robustness.sensitivity_goals,

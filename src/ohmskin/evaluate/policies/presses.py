@@ -50,14 +50,10 @@ class PressCounts:
         world = setup("pressed", self.decibels)
         counted = np.zeros((len(self.schemes), self.where, self.seeds), int)
         away = np.full(counted.shape, np.nan)
-        for s, (w, place), seed in product(
-            range(len(self.schemes)), enumerate(places(self.where, 3, world.skin)), range(self.seeds)
-        ):
-            seen = world.simulate(
-                scheme(self.schemes[s], READING),
-                (disc(float(place[0]), float(place[1]), self.radius, self.pressure),),
-                seed,
-            )
+        spots = places(self.where, 3, world.skin)
+        for (s, key), (w, place), seed in product(enumerate(self.schemes), enumerate(spots), range(self.seeds)):
+            there = (disc(place[0], place[1], self.radius, self.pressure),)
+            seen = world.simulate(scheme(key, READING), there, seed)
             counted[s, w, seed] = len(seen.contacts)
             if seen.contacts:
                 away[s, w, seed] = np.linalg.norm(seen.strongest - place)
@@ -92,34 +88,25 @@ class ForceErrors:
         layer, (factor, off) = skin.contact_layer, WRONG
         wrong = replace(layer, conductance=factor * layer.conductance, exponent=layer.exponent + off)
         fitters = [PressFitter(world.known), self._fitter(world, replace(skin, contact_layer=wrong))]
-        spots = places(len(KNOWN) * 2, 100 + self.draw, skin)
         known = []
-        for k, place in enumerate(spots):
-            press = Press((float(place[0]), float(place[1])), FOOT, KNOWN[k % len(KNOWN)])
+        for k, (x, y) in enumerate(places(len(KNOWN) * 2, 100 + self.draw, skin).tolist()):
+            press = Press((x, y), FOOT, KNOWN[k % len(KNOWN)])
             contacts, frames = self._measured(world, press, k)
             known.append(KnownPress(press.force(layer.foam_spread), contacts[0], sum(frames, ())))
         found = fit_layer(fitters[1], known)
         calibrated = replace(skin, contact_layer=wrong, calibration=found.put_into(skin.calibration))
         fitters.append(self._fitter(world, calibrated))
         force, std = np.full(shape, np.nan), np.full(shape, np.nan)
-        for (p, pressure), (w, place) in product(
-            enumerate(self.pressures), enumerate(places(self.where, 200 + self.draw, skin))
-        ):
-            contacts, frames = self._measured(
-                world, Press((float(place[0]), float(place[1])), self.radius, pressure), 1000 + w
-            )
+        spots = places(self.where, 200 + self.draw, skin).tolist()
+        for (p, pressure), (w, (x, y)) in product(enumerate(self.pressures), enumerate(spots)):
+            contacts, frames = self._measured(world, Press((x, y), self.radius, pressure), 1000 + w)
             for (f, fitter), (n, scans) in product(enumerate(fitters), enumerate((frames[0], sum(frames, ())))):
                 if contacts and (n or f == 0):
                     (fitted,) = fitter.fit(contacts[:1], *scans)
                     force[n, f, p, w], std[n, f, p, w] = fitted.force, fitted.force_std
         unit = Press((0.1, 0.1), self.radius, 1.0).force(layer.foam_spread)
-        true = unit * np.array(self.pressures)
-        return {
-            "force": force,
-            "std": std,
-            "true": true,
-            "layer": np.array([found.conductance / layer.conductance, found.exponent]),
-        }
+        told = np.array([found.conductance / layer.conductance, found.exponent])
+        return {"force": force, "std": std, "true": unit * np.array(self.pressures), "layer": told}
 
     def _fitter(self, world: Setup, skin: Skin) -> PressFitter:
         """A fitter that takes the world's skin for another."""

@@ -52,9 +52,8 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             yield Goal("trouble", f"Reported within {SOON:g} s by {mode}: {trouble}", 1.0, False, told, "%", data)
         if wire:
             well = _exactly(result["well"] <= SOON)
-            yield Goal(
-                "trouble", f"Recovered within {SOON:g} s of its end in {mode}: {trouble}", 1.0, False, well, "%", data
-            )
+            text = f"Recovered within {SOON:g} s of its end in {mode}: {trouble}"
+            yield Goal("trouble", text, 1.0, False, well, "%", data)
             ours, theirs = (np.nan_to_num(result[name].ravel(), posinf=np.inf) for name in ("away", "sound"))
             ratio = median(ours / theirs)
             text = f"Error of a press in {mode} over that before, median: {trouble}"
@@ -64,9 +63,8 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
         if wire or trouble == NONE:
             gone = _exactly(result["gone"] <= GONE)
             after = " after a fault that ended" if wire else ""
-            yield Goal(
-                "trouble", f"Nothing is left {GONE} frames after a slide in {mode}{after}", 1.0, False, gone, "%", data
-            )
+            text = f"Nothing is left {GONE} frames after a slide in {mode}{after}"
+            yield Goal("trouble", text, 1.0, False, gone, "%", data)
     for mode in MODES:
         runs = [result for _, _, result in done.of("trouble", f"drifting/{mode}/")]
         if runs:
@@ -74,11 +72,9 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             task = next(task for _, task, _ in done.of("trouble", f"drifting/{mode}/"))
             text = f"No contact false or lost in {mode}, pairs drifting by {task.times:g} times the noise a minute"
             yield Goal("trouble", text, 1.0, False, right, "%", f"{len(runs)} seeds")
-            away = np.array([run["away"] for run in runs])
+            without, within = np.array([run["away"] for run in runs]).T
             text = f"Error of a finger resting in that drift over that without, {mode}"
-            yield Goal(
-                "trouble", text, 1.2, True, ratio_of_means(away[:, 1], away[:, 0]), "ratio", f"{len(runs)} seeds"
-            )
+            yield Goal("trouble", text, 1.2, True, ratio_of_means(within, without), "ratio", f"{len(runs)} seeds")
 
 
 def _exactly(right: Bools) -> ConfidenceInterval:
@@ -189,16 +185,8 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
             draw_estimates(grid[3], list(x), list(estimates), "P-", **style)
             grid[3].set_xticks(x)
     grid[3].set_xlabel("noise / dB")
-    for axes, title in zip(
-        grid,
-        (
-            "28 injections, one contact",
-            f"{level:g} dB, one contact",
-            f"{level:g} dB, 28 injections",
-            "tracking, 4 a frame",
-        ),
-        strict=True,
-    ):
+    titles = ["28 injections, one contact", f"{level:g} dB, one contact", f"{level:g} dB, 28 injections"]
+    for axes, title in zip(grid, [*titles, "tracking, 4 a frame"], strict=True):
         axes.axhline(1, color="0.6", linewidth=0.6)
         axes.set_title(title)
         axes.grid(axis="y")

@@ -56,10 +56,8 @@ class Static:
         ``stated`` (n_schemes, n_readers, n_seeds, n_places), the root of the stated variance of x and y together (m),
         and ``nees`` (same), the squared error over the stated covariance; NaN where a reader states none.
         """
-        where, truth = (
-            setup(self.world, self.decibels, flaw=self.flaw),
-            static_places(self.side, self.random, self.corners),
-        )
+        where = setup(self.world, self.decibels, flaw=self.flaw)
+        truth = static_places(self.side, self.random, self.corners)
         compared = [within(key, self.instrument, where) if self.instrument else scheme(key) for key in self.schemes]
         ways = [scheme(self.schemes[0], reading) for reading in self.readers]
         estimate = np.full((len(compared), len(self.readers), self.seeds, len(truth), 2), np.nan)

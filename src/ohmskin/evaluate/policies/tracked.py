@@ -68,9 +68,8 @@ class Moving:
         for seed in range(self.seeds):
             frames = [(contact(self.world, *place),) for place in truth[seed]]
             for (s, key), (e, reader) in product(enumerate(self.schemes), enumerate(self.readers)):
-                seen = (
-                    where.simulate(scheme(key, reader), there, self.first + seed, k) for k, there in enumerate(frames)
-                )
+                mode = scheme(key, reader)
+                seen = (where.simulate(mode, there, self.first + seed, k) for k, there in enumerate(frames))
                 framewise[s, e, seed] = [view.strongest for view in seen]
             for t, key in enumerate(self.trackers):
                 for k, percept in enumerate(where.follow(scheme(key, "tracked, driven"), frames, self.first + seed)):
