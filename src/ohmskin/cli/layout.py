@@ -36,7 +36,6 @@ from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.sensing import default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
 from ohmskin.skin.files import write
-from ohmskin.skin.layout import ElectrodeLayout
 
 _PLACES = 700
 _BEST = "best"
@@ -97,11 +96,7 @@ def layout(
         current = float(np.median(described.pair_currents()))
         sheet = described.domain, described.conductivity_on, 0.75 * described.imaging.mesh_size
         search = LayoutSearch(*sheet, size, volts, count, current, described.chart.scale)
-        places = tuple((x, y) for x, y in search.best(optimise).positions.tolist())
-        kept = described.electrode
-        electrode = ElectrodeLayout(
-            "listed", radius=kept.radius, contact_resistivity=kept.contact_resistivity, positions=places
-        )
+        electrode = described.electrode.moved_to(search.best(optimise).positions)
         imaging = replace(described.imaging, pairs=min(described.imaging.pairs, optimise * (optimise - 1) // 2))
         better = replace(described, name=f"{described.name}-{optimise}", electrode=electrode, imaging=imaging)
         possible = modes(better)

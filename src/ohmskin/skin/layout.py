@@ -45,6 +45,13 @@ class ElectrodeLayout:
         """Of each electrode (ohm)."""
         return self.contact_resistivity / (math.pi * self.radius**2)
 
+    def moved_to(self, positions: Floats) -> "ElectrodeLayout":
+        """Such electrodes, listed at positions (n_elec, 2) of the map (m)."""
+        listed = places(positions.tolist())
+        return ElectrodeLayout(
+            "listed", radius=self.radius, contact_resistivity=self.contact_resistivity, positions=listed
+        )
+
     def on(self, chart: Chart) -> Electrodes:
         """The electrodes on the map of a sheet that `check` has passed."""
         domain = chart.domain

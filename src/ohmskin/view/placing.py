@@ -20,7 +20,6 @@ from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import describe_domain
 from ohmskin.skin import Calibration, Skin
 from ohmskin.skin.files import save_skin
-from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.view.live import check_address, start_page
 from ohmskin.view.server import run, serve_page
 from ohmskin.view.wire import to_json
@@ -150,11 +149,8 @@ class ElectrodePlacement:
 
     def _judge(self) -> None:
         """Make a skin of the electrodes, which numbers them; or say what is missing."""
-        kept, count = self._skin.electrode, len(self._places)
-        positions = tuple((x, y) for x, y in np.round(np.reshape(self._places, (-1, 2)), 9).tolist())
-        layout = ElectrodeLayout(
-            "listed", radius=kept.radius, contact_resistivity=kept.contact_resistivity, positions=positions
-        )
+        count, places = len(self._places), np.reshape(self._places, (-1, 2))
+        layout = self._skin.electrode.moved_to(np.round(places, 9))
         pairs = max(1, min(self._skin.imaging.pairs, count * (count - 1) // 2))
         self._placed = None
         try:
@@ -167,8 +163,8 @@ class ElectrodePlacement:
     def _save(self) -> None:
         if self._placed is None:
             return
-        places = tuple((x, y) for x, y in np.round(self._placed.electrodes.positions, 9).tolist())
-        numbered = replace(self._placed, electrode=replace(self._placed.electrode, positions=places))
+        places = np.round(self._placed.electrodes.positions, 9)
+        numbered = replace(self._placed, electrode=self._placed.electrode.moved_to(places))
         try:
             kept = save_skin(self._target, numbered)
             self._saved = f"{self._target}" + (f"; the one that was there is now {kept.name}" if kept else "")
